@@ -1,0 +1,7 @@
+//! From files as scientists have them to a store: sources, analysis, encoding.
+
+pub mod error;
+pub mod series;
+
+pub use error::SourceError;
+pub use series::{StepReader, TimeSeries, Variable};

@@ -1,0 +1,2 @@
+//! The `chronoxel` command.
+fn main() {}
