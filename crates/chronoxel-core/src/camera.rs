@@ -57,7 +57,7 @@ impl Camera {
         for (field, vector) in
             [("camera's position", position), ("camera's look_at", look_at), ("camera's up", up)]
         {
-            if vector.iter().any(|c| !(c.abs() < 1e150)) {
+            if vector.iter().any(|c| c.is_nan() || c.abs() > 1e150) {
                 return Err(CoreError::invalid(field, format!("{vector:?}"), "each must be finite"));
             }
         }
