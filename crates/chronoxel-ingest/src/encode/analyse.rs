@@ -114,12 +114,13 @@ fn statistics<T: Real>(core: &Core<'_, T>, masked: bool) -> SpanStatistics {
     let mut moments = moments_in(unit);
     // Squares beyond either end of f64's range are taken again in another unit.
     if !moments.squares.is_finite() || moments.squares < 1e-280 && moments.min < moments.max {
-        unit = if moments.squares < 1.0 { 1e160 } else { 1e-160 };
+        // Powers of two: exact.
+        unit = if moments.squares < 1.0 { 2f64.powi(532) } else { 2f64.powi(-532) };
         moments = moments_in(unit);
     }
     let Moments { count, min, max, sum, squares } = moments;
     let n = count as f64;
-    let mean = (pivot.to_f64() + sum / n / unit).clamp(min, max);
+    let mean = ((pivot.to_f64() * unit + sum / n) / unit).clamp(min, max);
     let std = ((squares - sum * (sum / n)).max(0.0) / n).sqrt() / unit;
     SpanStatistics { count, min, max, mean, std }
 }
@@ -183,7 +184,7 @@ fn moments_masked<T: Real>(core: &Core<'_, T>, pivot: f64, unit: f64) -> Moments
 #[cfg(test)]
 mod tests {
     use super::*;
-    use chronoxel_core::{UniformGrid, levels_of};
+    use chronoxel_core::{UniformGrid, octree::levels_of};
 
     fn analyse_core(core: impl Fn(usize) -> f64) -> Analysis {
         let layout = BrickLayout::new(8).unwrap();

@@ -6,15 +6,19 @@ use super::real::Real;
 /// elsewhere by the mean of all unmasked samples.
 ///
 /// * `samples`: `edge`³ samples, `[z, y, x]`, at least one of them unmasked
+/// * `whole_numbers`: whether all samples are whole numbers, and pads must be
 ///
 /// All values written lie within the range of the unmasked samples.
-pub fn pad<T: Real>(samples: &mut [T], edge: usize) {
+pub fn pad<T: Real>(samples: &mut [T], edge: usize, whole_numbers: bool) {
     let (sum, count) = mean_of(samples.iter().copied());
     assert!(count > 0, "a brick without data is not coded");
     let (low, high) = samples.iter().filter(|v| !v.is_masked()).fold((T::LARGEST, T::LARGEST.negated()), |r, &v| {
         (if v < r.0 { v } else { r.0 }, if v > r.1 { v } else { r.1 })
     });
-    let within = |value: f64| T::from_f64(value.clamp(low.to_f64(), high.to_f64()));
+    let within = |value: f64| {
+        let value = if whole_numbers { value.round_ties_even() } else { value };
+        T::from_f64(value.clamp(low.to_f64(), high.to_f64()))
+    };
     let overall = within(sum);
     let pads: Vec<(usize, T)> = (0..samples.len())
         .filter(|&i| samples[i].is_masked())
@@ -52,7 +56,7 @@ mod tests {
         let mut samples = vec![f32::NAN; 125];
         samples[0] = 2.0;
         samples[1] = 4.0;
-        pad(&mut samples, 5);
+        pad(&mut samples, 5, false);
         assert_eq!(samples[5], 3.0); // (0, 1, 0) touches both
         assert_eq!(samples[2], 4.0); // (2, 0, 0) touches the second alone
         assert_eq!(samples[124], 3.0); // touches none
@@ -64,7 +68,7 @@ mod tests {
         let mut samples = vec![f64::NAN; 27];
         samples[3] = f64::MAX;
         samples[4] = f64::MAX;
-        pad(&mut samples, 3);
+        pad(&mut samples, 3, false);
         assert!(samples.iter().all(|&v| v == f64::MAX));
     }
 }

@@ -127,3 +127,78 @@ fn filter_masked<T: Real>(rows: &[[&[T]; 3]; 3], out: &mut [T], scratch: &mut Sc
         };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use chronoxel_core::{BrickLayout, UniformGrid, octree::levels_of};
+
+    /// Filters `source` up one level, in slabs of `slab` slices.
+    fn filtered(dims: [usize; 3], source: &dyn Fn([usize; 3]) -> f32, slab: usize) -> (Window<f32>, [usize; 3]) {
+        let grid = UniformGrid::new(dims, [0.0; 3], [1.0; 3]).unwrap();
+        let mut layout = BrickLayout::new(8).unwrap();
+        layout.edge = 1; // so that there is a level above, however small the grid
+        let levels = levels_of(&grid, &layout);
+        let above = levels.get(1).copied().unwrap_or(levels[0]);
+        let (mut below, mut up) = (Window::new(levels[0]), Window::new(above));
+        let slice = |z: usize| -> Vec<f32> {
+            (0..dims[1]).flat_map(|y| (0..dims[0]).map(move |x| source([x, y, z]))).collect()
+        };
+        for first in (0..dims[2]).step_by(slab) {
+            let slices: Vec<_> = (first..dims[2].min(first + slab)).map(slice).collect();
+            let masked = slices.iter().map(|s| s.iter().any(|v| v.is_nan())).collect();
+            below.push(Slab { first, samples: slices.concat(), masked });
+            advance(&below, &mut up);
+        }
+        (up, above.field_dims)
+    }
+
+    fn at(window: &Window<f32>, dims: [usize; 3], [x, y, z]: [usize; 3]) -> f32 {
+        window.slice(z).0[x + dims[0] * y]
+    }
+
+    #[test]
+    fn a_ramp_stays_a_ramp_inside() {
+        let ramp = |[x, y, z]: [usize; 3]| (x + 4 * y + 16 * z) as f32;
+        let (up, dims) = filtered([9, 7, 6], &ramp, 4);
+        assert_eq!(dims, [5, 4, 4]);
+        // Interior sample i lies on sample 2 i; the ends lean inwards by a quarter of a sample.
+        assert_eq!(at(&up, dims, [1, 2, 1]), ramp([2, 4, 2]));
+        assert_eq!(at(&up, dims, [0, 1, 1]), ramp([0, 2, 2]) + 0.25);
+        assert_eq!(at(&up, dims, [4, 1, 1]), ramp([8, 2, 2]) - 0.25);
+        // Of an even number of samples the last of the level lies beyond the grid: the last sample, replicated.
+        assert_eq!(at(&up, dims, [1, 1, 3]), ramp([2, 2, 5]));
+    }
+
+    #[test]
+    fn slabs_do_not_change_the_result() {
+        let noise = |[x, y, z]: [usize; 3]| ((x * 7919 + y * 104_729 + z * 1_299_709) % 1000) as f32 / 7.0;
+        let (once, dims) = filtered([13, 6, 11], &noise, 11);
+        for slab in [1, 2, 3, 5] {
+            let (other, _) = filtered([13, 6, 11], &noise, slab);
+            assert!((0..dims[2]).all(|z| once.slice(z).0 == other.slice(z).0), "slab {slab}");
+        }
+    }
+
+    #[test]
+    fn masked_samples_are_left_out_and_weights_renormalised() {
+        let source = |p: [usize; 3]| match p {
+            [2, 2, 2] => 8.0,
+            [3, 2, 2] => 5.0,
+            _ => f32::NAN,
+        };
+        let (up, dims) = filtered([7, 7, 7], &source, 7);
+        // Sample (1, 1, 1) sees both with weights 1/2 and 1/4 along x, (2, 1, 1) the second alone.
+        assert_eq!(at(&up, dims, [1, 1, 1]), 7.0);
+        assert_eq!(at(&up, dims, [2, 1, 1]), 5.0);
+        assert!(at(&up, dims, [0, 1, 1]).is_nan());
+        assert!(up.slice(1).1 && up.slice(3).1);
+    }
+
+    #[test]
+    fn flat_grids_are_filtered_along_what_they_have() {
+        let (up, dims) = filtered([5, 1, 1], &|[x, _, _]| x as f32, 1);
+        assert_eq!(dims, [3, 1, 1]);
+        assert_eq!(up.slice(0).0, [0.25, 2.0, 3.75]);
+    }
+}
