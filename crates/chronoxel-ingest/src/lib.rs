@@ -1,5 +1,6 @@
 //! From files as scientists have them to a store: sources, analysis, encoding.
 
+pub mod encode;
 pub mod error;
 pub mod series;
 pub mod sim;
