@@ -2,6 +2,10 @@
 
 use std::{path::PathBuf, str::FromStr};
 
+use chronoxel_ingest::{
+    TimeSeries,
+    sources::{self, SourceOptions},
+};
 use clap::{Args, ValueEnum};
 
 use crate::bytes::ByteSize;
@@ -66,6 +70,37 @@ pub struct SourceHints {
     /// Value that means "no data", besides NaN [default: what the file says]
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub fill_value: Option<f64>,
+}
+
+impl SourceArgs {
+    /// Opens the source.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub fn open(&self) -> anyhow::Result<Box<dyn TimeSeries>> {
+        self.hints.open(&self.source)
+    }
+}
+
+impl SourceHints {
+    /// Opens a source with these hints.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub fn open(&self, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
+        let options = SourceOptions {
+            dims: self.dims,
+            sample_type: self.dtype,
+            big_endian: self.endian == Endian::Big,
+            header_bytes: self.header_bytes,
+            spacing: self.spacing,
+            origin: self.origin,
+            dt: self.dt,
+            variables: self.variable.clone(),
+            fill_value: self.fill_value,
+        };
+        Ok(sources::open(source, &options)?)
+    }
 }
 
 /// Byte order of raw files.

@@ -3,8 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::args::Common;
+use chronoxel_core::compare::{compare, difference_picture};
+
+use super::{args::Common, output};
+use crate::movie::{read_png, write_png};
 
 /// Say how far two pictures are apart: PSNR, SSIM, L*u*v* distance
 #[derive(Debug, Args)]
@@ -15,17 +19,52 @@ pub struct CompareArgs {
     a: PathBuf,
     /// The second, of the same size
     b: PathBuf,
-    /// Write a picture of the differences
+    /// Write a picture of the differences, eight times enlarged
     #[arg(short, long, value_name = "DIFF.png")]
     output: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
 struct CompareReport {
+    /// Null where the pictures are equal.
     psnr_db: Option<f64>,
     ssim: f64,
     luv_mean: f64,
     luv_max: f64,
     differing_pixels: u64,
     num_pixels: u64,
+}
+
+/// How much differences are enlarged in the picture of them.
+const GAIN: u8 = 8;
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &CompareArgs) -> anyhow::Result<()> {
+    let (a, b) = (read_png(&args.a)?, read_png(&args.b)?);
+    let difference = compare(&a, &b)?;
+    if let Some(path) = &args.output {
+        write_png(path, &difference_picture(&a, &b, GAIN)?)?;
+    }
+    let report = CompareReport {
+        psnr_db: Some(difference.psnr_db).filter(|psnr| psnr.is_finite()),
+        ssim: difference.ssim,
+        luv_mean: difference.luv_mean,
+        luv_max: difference.luv_max,
+        differing_pixels: difference.differing_pixels,
+        num_pixels: (a.width * a.height) as u64,
+    };
+    match common.json {
+        true => output::json(&report),
+        false => output::line(&report.text()),
+    }
+}
+
+impl CompareReport {
+    fn text(&self) -> String {
+        let psnr = self.psnr_db.map_or("infinite (equal)".to_owned(), |psnr| format!("{psnr:.2} dB"));
+        format!(
+            "PSNR {psnr}, SSIM {:.5}, L*u*v* distance {:.4} mean, {:.2} largest; {} of {} pixels differ",
+            self.ssim, self.luv_mean, self.luv_max, self.differing_pixels, self.num_pixels
+        )
+    }
 }

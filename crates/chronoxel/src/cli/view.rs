@@ -1,10 +1,16 @@
 //! The options that say what a picture shows: variable, camera, transfer function, size.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context;
+use chronoxel_core::{Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid};
 use clap::{Args, ValueEnum};
 
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive};
+use crate::{
+    annotate,
+    session::{Picture, Session, View, orbit_camera},
+};
 
 /// Options of `render`, `movie` and `play`.
 #[derive(Debug, Clone, Args)]
@@ -150,18 +156,139 @@ fn parse_background(text: &str) -> Result<Background, String> {
 }
 
 impl ViewArgs {
-    /// Distance between samples in voxels, kept within what makes sense.
+    /// What the pictures show of an open store.
     ///
     /// # Errors
-    /// A message if the step is so small that a picture would never be done.
-    pub fn checked_step(&self) -> anyhow::Result<f64> {
+    /// If a camera or transfer-function file cannot be read or used, or the level does not exist.
+    pub fn view(&self, session: &Session) -> anyhow::Result<View> {
+        let grid = session.store().header().grid;
+        let num_levels = session.store().tree().num_levels();
         anyhow::ensure!(
-            (0.01..=64.0).contains(&self.step),
-            "--step is {}: use a length from 0.01 to 64 voxels",
-            self.step
+            usize::from(self.level) < num_levels,
+            "--level is {}: the store has levels 0 to {}",
+            self.level,
+            num_levels - 1
         );
-        Ok(self.step)
+        Ok(View {
+            camera: self.camera.camera(&grid, self.size)?,
+            transfer: session.resolve(&self.transfer.function()?)?,
+            size: self.size,
+            step_voxels: self.step,
+            lighting: (self.lighting == Switch::On).then(Lighting::default),
+            opacity_unit: self.transfer.opacity_unit.unwrap_or(grid.smallest_spacing()),
+            level: self.level,
+        })
     }
+
+    /// The picture of a step as it is shown: before its background, with what was asked to be written on it.
+    ///
+    /// # Errors
+    /// If the annotations cannot be drawn.
+    pub fn show(&self, session: &Session, view: &View, picture: &Picture) -> anyhow::Result<Image8> {
+        let [width, height] = view.size;
+        let mut shown = Image8::from_rgba(width, height, &picture.image.to_rgba8(self.background.into()))?;
+        let header = session.store().header();
+        if self.axes {
+            annotate::draw_axes(&mut shown, &view.camera, &header.grid)?;
+        }
+        if self.colorbar {
+            let variable = &header.variables[session.variable()];
+            annotate::draw_colorbar(&mut shown, &view.transfer, &variable.name, &variable.units)?;
+        }
+        Ok(shown)
+    }
+}
+
+impl CameraArgs {
+    /// The camera for a grid, turned further by `turn_deg` where it orbits.
+    ///
+    /// # Errors
+    /// If the camera file cannot be read or used, or an angle is out of range.
+    pub fn camera(&self, grid: &UniformGrid, size: [usize; 2]) -> anyhow::Result<Camera> {
+        self.turned(grid, size, 0.0)
+    }
+
+    /// The camera for a grid, turned further about the vertical axis.
+    ///
+    /// # Errors
+    /// As [`Self::camera`]; and if a camera file is to be turned.
+    pub fn turned(&self, grid: &UniformGrid, size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
+        if let Some(path) = &self.camera {
+            anyhow::ensure!(turn_deg == 0.0, "--orbit turns the camera given by angles; leave out --camera");
+            let text = read_text(path, "camera file")?;
+            return Camera::from_json(&text).with_context(|| path.display().to_string());
+        }
+        let fov = (!self.ortho).then_some(self.fov);
+        orbit_camera(grid, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
+    }
+}
+
+impl TransferArgs {
+    /// The transfer function.
+    ///
+    /// # Errors
+    /// If the name is neither built in nor a file that can be read and used, or a colour map is asked for where a
+    /// file has its own colours.
+    pub fn function(&self) -> anyhow::Result<TransferFunction> {
+        if TransferFunction::BUILT_IN.contains(&self.tf.as_str()) {
+            let map: ColorMap = self.colormap.as_deref().unwrap_or("viridis").parse()?;
+            return Ok(TransferFunction::built_in(&self.tf, map)?);
+        }
+        let path = Path::new(&self.tf);
+        anyhow::ensure!(
+            path.exists(),
+            "--tf {:?} is neither a file nor one of the built-in functions {}",
+            self.tf,
+            TransferFunction::BUILT_IN.join(", ")
+        );
+        anyhow::ensure!(
+            self.colormap.is_none(),
+            "--colormap is for the built-in functions; {} has its own colours",
+            path.display()
+        );
+        let text = read_text(path, "transfer function")?;
+        TransferFunction::from_json(&text).with_context(|| path.display().to_string())
+    }
+}
+
+impl StepArgs {
+    /// The step meant.
+    ///
+    /// # Errors
+    /// If it is not in the store.
+    pub fn resolve(&self, session: &Session) -> anyhow::Result<usize> {
+        let header = session.store().header();
+        let num_steps = header.num_steps_finished as usize;
+        if let Some(time) = self.time {
+            return Ok(header.times.nearest_step(time).min(num_steps - 1));
+        }
+        let step = self.step.unwrap_or(0);
+        anyhow::ensure!(step < num_steps, "step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
+        Ok(step)
+    }
+}
+
+impl From<Background> for chronoxel_core::Background {
+    fn from(background: Background) -> Self {
+        match background {
+            Background::Transparent => Self::Transparent,
+            Background::Color(color) => Self::Color(color),
+        }
+    }
+}
+
+/// Text files given by the user are small; larger ones are a mistake.
+const MOST_TEXT_BYTES: u64 = 16 << 20;
+
+fn read_text(path: &Path, what: &str) -> anyhow::Result<String> {
+    let failed = || format!("{}: cannot read the {what}", path.display());
+    let num_bytes = std::fs::metadata(path).with_context(failed)?.len();
+    anyhow::ensure!(
+        num_bytes <= MOST_TEXT_BYTES,
+        "{}: {num_bytes} bytes are too many for a {what}",
+        path.display()
+    );
+    std::fs::read_to_string(path).with_context(failed)
 }
 
 /// A number of frames per second.
