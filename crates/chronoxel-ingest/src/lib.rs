@@ -2,6 +2,7 @@
 
 pub mod error;
 pub mod series;
+pub mod sources;
 
 pub use error::SourceError;
 pub use series::{StepReader, TimeSeries, Variable};
