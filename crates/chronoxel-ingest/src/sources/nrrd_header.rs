@@ -175,7 +175,12 @@ impl Fields {
             "float" => SampleType::F32,
             "double" => SampleType::F64,
             _ => {
-                return Err(SourceError::unsupported(&self.path, "type", text, "numbers of 8 to 64 bits are"));
+                return Err(SourceError::unsupported(
+                    &self.path,
+                    "type",
+                    text,
+                    "numbers of 8 to 64 bits are",
+                ));
             }
         })
     }
