@@ -4,6 +4,7 @@ pub mod encode;
 pub mod error;
 pub mod series;
 pub mod sim;
+pub mod sources;
 
 pub use error::SourceError;
 pub use series::{StepReader, TimeSeries, Variable};

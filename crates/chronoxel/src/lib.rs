@@ -7,4 +7,5 @@
 pub mod bytes;
 pub mod cli;
 pub mod process;
+pub mod movie;
 pub mod progress;

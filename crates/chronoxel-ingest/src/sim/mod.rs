@@ -3,6 +3,7 @@
 //! | name | what is solved | variable |
 //! | --- | --- | --- |
 //! | `plume` | advection, diffusion and settling of a discharge in a tidal current | `concentration` |
+//! | `vortex` | incompressible turbulence that decays in a periodic box | `vorticity_magnitude` |
 //!
 //! All know `dims` (`128` or `160x64x64`) and `steps`. A run covers the same stretch of physical time whatever
 //! `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
@@ -11,16 +12,19 @@
 //! The numbers are the same on every machine and for any number of threads: work is divided into independent
 //! slices and pencils, sums are taken in a fixed order, and transcendental functions come from `libm`.
 
+mod fourier;
+pub mod navier_stokes;
 mod plume;
 mod spec;
 pub mod transport;
+mod vortex;
 
 use chronoxel_core::{SampleType, Samples, TimeAxis, UniformGrid};
 
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume";
+const NAMES: &str = "plume, vortex";
 
 /// Opens a built-in simulation as a source; nothing is computed yet.
 ///
@@ -30,6 +34,7 @@ pub fn open(spec: &str) -> Result<Box<dyn TimeSeries>, SourceError> {
     let spec = Spec::parse(spec)?;
     let series = match spec.name.as_str() {
         "plume" => plume::open(&spec)?,
+        "vortex" => vortex::open(&spec)?,
         _ => {
             return Err(invalid(
                 "simulation",

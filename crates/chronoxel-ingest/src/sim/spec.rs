@@ -72,6 +72,12 @@ impl Spec {
         })
     }
 
+    /// The option `seed`: any unsigned 64-bit number.
+    pub fn seed(&self, default: u64) -> Result<u64, SourceError> {
+        let Some(text) = self.value("seed") else { return Ok(default) };
+        text.parse().map_err(|_| invalid("option seed", text, "give a whole number from 0 to 2^64 - 1"))
+    }
+
     /// A real option between two limits, both included.
     pub fn number(&self, key: &'static str, default: f64, limits: [f64; 2]) -> Result<f64, SourceError> {
         let Some(text) = self.value(key) else { return Ok(default) };
@@ -113,8 +119,9 @@ mod tests {
 
     #[test]
     fn numbers_outside_their_limits_are_refused() {
-        let spec = Spec::parse("sim:plume?steps=0&limit=nan").unwrap();
+        let spec = Spec::parse("sim:plume?steps=0&limit=nan&seed=-1").unwrap();
         assert!(spec.steps(3).is_err());
         assert!(spec.number("limit", 1.0, [0.0, 2.0]).is_err());
+        assert!(spec.seed(1).is_err());
     }
 }
