@@ -109,6 +109,7 @@ type Spans = Arc<Vec<SpanRecord>>;
 /// An open store, one variable of which is drawn.
 pub struct Session {
     store: Store,
+    tree: Arc<Octree>,
     variable: usize,
     bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
     spans: ByteLru<(u8, u32), Spans>,
@@ -130,19 +131,19 @@ impl Session {
     /// If the store cannot be opened, has no such variable, or has no finished step yet.
     pub fn open(path: &Path, variable: Option<&str>, memory_bytes: u64) -> anyhow::Result<Self> {
         let store = Store::open(path)?;
-        let names = || store.header().variables.iter().map(|v| v.name.as_str()).collect::<Vec<_>>().join(", ");
         let variable = match variable {
             None => 0,
-            Some(name) => store
-                .header()
-                .variable(name)
-                .with_context(|| format!("{}: no variable {name:?}; it has {}", path.display(), names()))?,
+            Some(name) => store.header().variable(name).with_context(|| {
+                let names: Vec<&str> = store.header().variables.iter().map(|v| v.name.as_str()).collect();
+                format!("{}: no variable {name:?}; it has {}", path.display(), names.join(", "))
+            })?,
         };
         if store.header().num_steps_finished == 0 {
             bail!("{}: no time step is finished yet; finish it with encode --resume", path.display());
         }
         let share = |part: f64| (memory_bytes as f64 * part) as usize;
         Ok(Self {
+            tree: Arc::new(store.tree().clone()),
             store,
             variable,
             bricks: ByteLru::new(share(RESIDENT_SHARE)),
@@ -245,7 +246,7 @@ impl Session {
         let volume = ViewVolume::of_camera(&view.camera, aspect, &grid);
         let mut level = view.level.min(num_levels - 1);
         loop {
-            let tree = self.store.tree().clone();
+            let tree = Arc::clone(&self.tree);
             let layout = self.store.header().bricks;
             let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level, view: &volume };
             let list = selector.draw_list(
@@ -301,7 +302,7 @@ impl Session {
         counts: &mut BrickCounts,
         faults: &mut Faults,
     ) -> anyhow::Result<Vec<DrawBrick>> {
-        let tree = self.store.tree().clone();
+        let tree = Arc::clone(&self.tree);
         let mut ready: HashMap<NodeId, Arc<PreparedBrick>> = HashMap::new();
         let mut wanted: Vec<Wanted> = Vec::new();
         for item in items.iter().filter(|item| item.how == How::Payload) {

@@ -46,7 +46,7 @@ pub struct EncodeArgs {
     /// Samples along the edge of a brick's core: 8, 16, 32, 64 or 128
     #[arg(long, value_name = "N", default_value_t = 32)]
     brick: usize,
-    /// Range of values that errors refer to and pictures show [default: that of the data]
+    /// Range of values that --max-error refers to [default: the range seen so far]
     #[arg(long, value_name = "MIN:MAX", value_parser = parse_range, allow_hyphen_values = true)]
     range: Option<[f64; 2]>,
     /// Go on with a store that was interrupted
@@ -106,7 +106,8 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
         range: args.range,
         brick_edge: args.brick,
         fill_value: args.source.hints.fill_value,
-        source: args.source.source.join(" "),
+        source_name: args.source.source.join(" "),
+        variables: args.source.hints.variable.clone(),
         resume: args.resume,
         overwrite: args.overwrite,
         ..options_of(common)
@@ -145,7 +146,10 @@ pub fn encode_series(
     if report.num_infinite > 0 {
         output::warning(&format!("{} infinite samples were masked, as NaN is", report.num_infinite));
     }
-    let num_variables = options.num_variables(series) as u64;
+    let num_variables = match options.variables.len() {
+        0 => series.variables().len(),
+        n => n,
+    } as u64;
     Ok(EncodeSummary {
         store: store.to_owned(),
         raw_bytes: report.raw_bytes,
@@ -164,7 +168,8 @@ pub fn encode_series(
 }
 
 impl EncodeSummary {
-    fn text(&self) -> String {
+    /// One line for people.
+    pub fn text(&self) -> String {
         format!(
             "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {} steps in {:.1} s ({}/s, {} threads)",
             self.store.display(),

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use chronoxel_core::TimeAxis;
 use chronoxel_ingest::{
+    decode_step,
     export::{self, ExportDescription},
-    measure::decode_step,
 };
 use chronoxel_store::Store;
 
@@ -69,7 +69,7 @@ pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
     let mut writer = export::create(&args.output, &description)?;
     let bar = Progress::new("export", steps.len() as u64, Counted::Things("steps"), common.quiet || common.json);
     for (number, &step) in steps.iter().enumerate() {
-        writer.write_step(number, &decode_step(&store, index, step as u32)?)?;
+        writer.write_step(number, &decode_step(&store, index, step)?)?;
         bar.advance(1);
     }
     writer.finish()?;

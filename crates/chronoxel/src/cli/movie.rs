@@ -75,7 +75,11 @@ pub fn run(common: &Common, args: &MovieArgs) -> anyhow::Result<()> {
 }
 
 impl MovieArgs {
-    fn make(&self, common: &Common) -> anyhow::Result<MovieReport> {
+    /// Draws the movie and writes it.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being drawn or written.
+    pub fn make(&self, common: &Common) -> anyhow::Result<MovieReport> {
         let start = std::time::Instant::now();
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
         let header = session.store().header().clone();

@@ -37,8 +37,9 @@ pub struct RenderArgs {
 /// The name of the only back end there is.
 pub const BACKEND: &str = "cpu";
 
+/// What was drawn, and what it took.
 #[derive(Serialize)]
-struct RenderReport {
+pub struct RenderReport {
     backend: &'static str,
     adapter: String,
     wall_secs: f64,
@@ -79,21 +80,35 @@ pub fn adapter() -> String {
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &RenderArgs) -> anyhow::Result<()> {
+    let report = args.make(common)?;
+    match common.json {
+        true => output::json(&report),
+        false if common.quiet => Ok(()),
+        false => output::line(&report.text(&args.output, common.verbose)),
+    }
+}
+
+impl RenderArgs {
+    /// Draws the picture and writes it.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being drawn or written.
+    pub fn make(&self, common: &Common) -> anyhow::Result<RenderReport> {
     let start = std::time::Instant::now();
     anyhow::ensure!(
-        args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")),
+        self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")),
         "{}: pictures are written as PNG; use a name that ends in .png",
-        args.output.display()
+        self.output.display()
     );
-    let mut session = Session::open(&args.store, args.view.variable.as_deref(), common.memory.0)?;
-    let step = args.step.resolve(&session)?;
-    let view = args.view.view(&session)?;
+    let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
+    let step = self.step.resolve(&session)?;
+    let view = self.view.view(&session)?;
     let picture = session.draw(&view, step)?;
     picture.warnings.iter().for_each(|warning| output::warning(warning));
-    write_png(&args.output, &args.view.show(&session, &view, &picture)?)?;
+    write_png(&self.output, &self.view.show(&session, &view, &picture)?)?;
 
     let header = session.store().header();
-    let report = RenderReport {
+    Ok(RenderReport {
         backend: BACKEND,
         adapter: adapter(),
         wall_secs: start.elapsed().as_secs_f64(),
@@ -108,11 +123,7 @@ pub fn run(common: &Common, args: &RenderArgs) -> anyhow::Result<()> {
         time_units: header.times.units.clone(),
         level: view.level,
         warnings: picture.warnings,
-    };
-    match common.json {
-        true => output::json(&report),
-        false if common.quiet => Ok(()),
-        false => output::line(&report.text(&args.output, common.verbose)),
+    })
     }
 }
 
