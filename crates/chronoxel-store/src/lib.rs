@@ -1,1 +1,16 @@
-//! See ARCHITECTURE.md.
+//! The Chronoxel store: a Zarr v3 group of compressed bricks, written so that a crash at any moment
+//! leaves a store that opens, read as if every byte were hostile. The format is `docs/format.md`.
+//!
+//! Writing: `StoreWriter::create` (or `resume`), then for each step
+//! `put` for each variable and level and `commit_step`, at last
+//! `finish`. Reading: `Store::open`, `Store::spans` for the covers of all nodes of a
+//! level at a step, `Store::read_payload`. `verify` checks every byte and every invariant.
+
+pub mod error;
+pub mod header;
+pub mod layout;
+pub mod span_write;
+
+pub use error::StoreError;
+pub use header::{Header, LevelEntry, StoreDescription, Totals, VariableDescription, VariableEntry};
+pub use span_write::{SpanContent, SpanWrite};
