@@ -4,6 +4,7 @@
 //! ([`chronoxel_ingest`]), the store ([`chronoxel_store`]), selection ([`chronoxel_stream`]) and rendering
 //! ([`chronoxel_render`]); and it holds the command line. It has no algorithms of its own.
 
+pub mod annotate;
 pub mod bytes;
 pub mod cli;
 pub mod process;

@@ -4,6 +4,7 @@
 //! | --- | --- | --- |
 //! | `plume` | advection, diffusion and settling of a discharge in a tidal current | `concentration` |
 //! | `vortex` | incompressible turbulence that decays in a periodic box | `vorticity_magnitude` |
+//! | `shockbubble` | compressible gas: a shock runs over a light bubble | `density` |
 //!
 //! All know `dims` (`128` or `160x64x64`) and `steps`. A run covers the same stretch of physical time whatever
 //! `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
@@ -12,9 +13,11 @@
 //! The numbers are the same on every machine and for any number of threads: work is divided into independent
 //! slices and pencils, sums are taken in a fixed order, and transcendental functions come from `libm`.
 
+pub mod euler;
 mod fourier;
 pub mod navier_stokes;
 mod plume;
+mod shockbubble;
 mod spec;
 pub mod transport;
 mod vortex;
@@ -24,7 +27,7 @@ use chronoxel_core::{SampleType, Samples, TimeAxis, UniformGrid};
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume, vortex";
+const NAMES: &str = "plume, vortex, shockbubble";
 
 /// Opens a built-in simulation as a source; nothing is computed yet.
 ///
@@ -35,6 +38,7 @@ pub fn open(spec: &str) -> Result<Box<dyn TimeSeries>, SourceError> {
     let series = match spec.name.as_str() {
         "plume" => plume::open(&spec)?,
         "vortex" => vortex::open(&spec)?,
+        "shockbubble" => shockbubble::open(&spec)?,
         _ => {
             return Err(invalid(
                 "simulation",
