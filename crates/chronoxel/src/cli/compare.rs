@@ -28,11 +28,12 @@ pub struct CompareArgs {
 struct CompareReport {
     /// Null where the pictures are equal.
     psnr_db: Option<f64>,
-    ssim: f64,
+    /// Null where a side is shorter than 11 pixels.
+    ssim: Option<f64>,
     luv_mean: f64,
     luv_max: f64,
-    differing_pixels: u64,
-    num_pixels: u64,
+    differing_pixels: usize,
+    num_pixels: usize,
 }
 
 /// How much differences are enlarged in the picture of them.
@@ -51,7 +52,7 @@ pub fn run(common: &Common, args: &CompareArgs) -> anyhow::Result<()> {
         luv_mean: difference.luv_mean,
         luv_max: difference.luv_max,
         differing_pixels: difference.differing_pixels,
-        num_pixels: (a.width * a.height) as u64,
+        num_pixels: a.width * a.height,
     };
     match common.json {
         true => output::json(&report),
@@ -62,9 +63,10 @@ pub fn run(common: &Common, args: &CompareArgs) -> anyhow::Result<()> {
 impl CompareReport {
     fn text(&self) -> String {
         let psnr = self.psnr_db.map_or("infinite (equal)".to_owned(), |psnr| format!("{psnr:.2} dB"));
+        let ssim = self.ssim.map_or("none (too small)".to_owned(), |ssim| format!("{ssim:.5}"));
         format!(
-            "PSNR {psnr}, SSIM {:.5}, L*u*v* distance {:.4} mean, {:.2} largest; {} of {} pixels differ",
-            self.ssim, self.luv_mean, self.luv_max, self.differing_pixels, self.num_pixels
+            "PSNR {psnr}, SSIM {ssim}, L*u*v* distance {:.4} mean, {:.2} largest; {} of {} pixels differ",
+            self.luv_mean, self.luv_max, self.differing_pixels, self.num_pixels
         )
     }
 }

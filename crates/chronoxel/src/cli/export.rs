@@ -67,7 +67,7 @@ pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
         fill_value: variable.fill_value,
     };
     let mut writer = export::create(&args.output, &description)?;
-    let bar = Progress::new("export", steps.len() as u64, Counted::Things("steps"), common.quiet || common.json);
+    let bar = Progress::new("export", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
     for (number, &step) in steps.iter().enumerate() {
         writer.write_step(number, &decode_step(&store, index, step)?)?;
         bar.advance(1);

@@ -41,9 +41,6 @@ pub struct MovieArgs {
     /// Turn about the vertical axis over the whole movie, in degrees
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
     orbit: f64,
-    /// Write the time into the pictures
-    #[arg(long)]
-    time_label: bool,
     #[command(flatten)]
     view: ViewArgs,
 }
@@ -92,7 +89,7 @@ impl MovieArgs {
         let options = MovieOptions { size: self.view.size, fps: self.fps, num_frames };
         let mut view = self.view.view(&session)?;
         let mut sink = movie::create(&self.output, options)?;
-        let bar = Progress::new("movie", num_frames as u64, Counted::Things("frames"), common.quiet || common.json);
+        let bar = Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
         let mut warnings = Vec::new();
         for frame in 0..num_frames {
             let step = steps[frame * steps.len() / num_frames];
@@ -106,10 +103,7 @@ impl MovieArgs {
                 bar.warn(&format!("chronoxel: warning: step {step}: {warning}"));
                 warnings.push(warning.clone());
             }
-            let mut image = self.view.show(&session, &view, &picture)?;
-            if self.time_label {
-                crate::annotate::draw_time(&mut image, time, &header.times.units, step)?;
-            }
+            let image = self.view.show(&session, &view, &picture, step)?;
             sink.write_frame(&Frame { image: &image, step, time })?;
             bar.advance(1);
         }

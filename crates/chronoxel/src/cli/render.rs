@@ -105,7 +105,7 @@ impl RenderArgs {
     let view = self.view.view(&session)?;
     let picture = session.draw(&view, step)?;
     picture.warnings.iter().for_each(|warning| output::warning(warning));
-    write_png(&self.output, &self.view.show(&session, &view, &picture)?)?;
+    write_png(&self.output, &self.view.show(&session, &view, &picture, step)?)?;
 
     let header = session.store().header();
     Ok(RenderReport {

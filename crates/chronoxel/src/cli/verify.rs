@@ -95,7 +95,7 @@ pub fn measure_series(
     steps: &[usize],
     report: &mut VerifyReport,
 ) -> anyhow::Result<()> {
-    let bar = Progress::new("measure", steps.len() as u64, Counted::Things("steps"), common.quiet || common.json);
+    let bar = Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
     let found = measure(store, series, steps.iter().copied().inspect(|_| bar.advance(1)))?;
     bar.finish();
     for errors in found.variables {

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive};
 use crate::{
-    annotate,
+    annotate::{AxesBox, ColorBar, Style, TimeLabel},
     session::{Picture, Session, View, orbit_camera},
 };
 
@@ -49,6 +49,9 @@ pub struct ViewArgs {
     /// Draw a colour bar with the variable's name and units
     #[arg(long)]
     pub colorbar: bool,
+    /// Write the time and the step into the picture
+    #[arg(long)]
+    pub time_label: bool,
 }
 
 /// From where the volume is seen.
@@ -183,17 +186,47 @@ impl ViewArgs {
     /// The picture of a step as it is shown: before its background, with what was asked to be written on it.
     ///
     /// # Errors
-    /// If the annotations cannot be drawn.
-    pub fn show(&self, session: &Session, view: &View, picture: &Picture) -> anyhow::Result<Image8> {
+    /// If the picture has another size than the view.
+    pub fn show(
+        &self,
+        session: &Session,
+        view: &View,
+        picture: &Picture,
+        step: usize,
+    ) -> anyhow::Result<Image8> {
         let [width, height] = view.size;
-        let mut shown = Image8::from_rgba(width, height, &picture.image.to_rgba8(self.background.into()))?;
+        let background = self.background.into();
+        let style = Style::for_picture(view.size, background);
+        let mut shown = Image8::of_background(width, height, background);
         let header = session.store().header();
+        let axes = AxesBox {
+            camera: &view.camera,
+            bounds: header.grid.bounds(),
+            names: ["x", "y", "z"],
+            units: "",
+        };
         if self.axes {
-            annotate::draw_axes(&mut shown, &view.camera, &header.grid)?;
+            axes.draw_behind(&mut shown, &style);
         }
+        shown.composite(&picture.image)?;
+        let mut occupied = Vec::new();
         if self.colorbar {
             let variable = &header.variables[session.variable()];
-            annotate::draw_colorbar(&mut shown, &view.transfer, &variable.name, &variable.units)?;
+            let bar = ColorBar {
+                transfer: &view.transfer,
+                range: session.variable_range(),
+                name: &variable.name,
+                units: &variable.units,
+            };
+            bar.draw(&mut shown, &style);
+            occupied.push(bar.area(&shown, &style));
+        }
+        if self.time_label {
+            let label = TimeLabel::new(&header.times);
+            occupied.push(label.draw(&mut shown, &style, header.times.times[step], step).rect);
+        }
+        if self.axes {
+            axes.draw_outline(&mut shown, &style, &occupied);
         }
         Ok(shown)
     }
