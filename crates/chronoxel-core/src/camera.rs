@@ -193,7 +193,7 @@ impl Camera {
     }
 
     /// Half the height of the picture: in the world, or at distance 1 for a perspective.
-    fn half_height(&self) -> f64 {
+    pub fn half_height(&self) -> f64 {
         match self.projection {
             Projection::Perspective { fov_y_deg } => (0.5 * fov_y_deg).to_radians().tan(),
             Projection::Orthographic { height } => 0.5 * height,

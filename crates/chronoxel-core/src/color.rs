@@ -7,7 +7,7 @@
 const WHITE_D65: [f64; 3] = [0.95047, 1.0, 1.08883];
 
 /// Linear light of an sRGB component in [0, 1].
-fn linear_from_srgb(c: f64) -> f64 {
+pub(crate) fn linear_from_srgb(c: f64) -> f64 {
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
 
@@ -17,14 +17,34 @@ fn srgb_from_linear(c: f64) -> f64 {
     c.clamp(0.0, 1.0)
 }
 
-/// CIE Lab (D65) of an sRGB colour.
-pub fn lab_from_srgb(rgb: [f64; 3]) -> [f64; 3] {
-    let [r, g, b] = rgb.map(linear_from_srgb);
-    let xyz = [
+/// CIE XYZ of linear light in the sRGB primaries.
+fn xyz_from_linear([r, g, b]: [f64; 3]) -> [f64; 3] {
+    [
         0.412_456_4 * r + 0.357_576_1 * g + 0.180_437_5 * b,
         0.212_672_9 * r + 0.715_152_2 * g + 0.072_175_0 * b,
         0.019_333_9 * r + 0.119_192_0 * g + 0.950_304_1 * b,
-    ];
+    ]
+}
+
+/// CIE 1976 L\*u\*v\* (D65) of linear light in the sRGB primaries; black is (0, 0, 0).
+pub(crate) fn luv_from_linear(rgb: [f64; 3]) -> [f64; 3] {
+    let chromaticity = |[x, y, z]: [f64; 3]| {
+        let sum = x + 15.0 * y + 3.0 * z;
+        [4.0 * x / sum, 9.0 * y / sum]
+    };
+    let xyz = xyz_from_linear(rgb);
+    if xyz[1] <= 0.0 {
+        return [0.0; 3];
+    }
+    let lightness =
+        if xyz[1] > 216.0 / 24389.0 { 116.0 * xyz[1].cbrt() - 16.0 } else { 24389.0 / 27.0 * xyz[1] };
+    let (here, white) = (chromaticity(xyz), chromaticity(WHITE_D65));
+    [lightness, 13.0 * lightness * (here[0] - white[0]), 13.0 * lightness * (here[1] - white[1])]
+}
+
+/// CIE Lab (D65) of an sRGB colour.
+pub fn lab_from_srgb(rgb: [f64; 3]) -> [f64; 3] {
+    let xyz = xyz_from_linear(rgb.map(linear_from_srgb));
     let f: [f64; 3] = std::array::from_fn(|i| {
         let t = xyz[i] / WHITE_D65[i];
         if t > 216.0 / 24389.0 { t.cbrt() } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
@@ -104,6 +124,23 @@ mod tests {
             assert!((found - expected).abs() < 0.02, "{red:?}");
         }
         assert!((lab_from_srgb([0.5; 3])[0] - 53.39).abs() < 0.01);
+    }
+
+    #[test]
+    fn luv_of_known_colours() {
+        // CIE 1976 coordinates of the sRGB primaries, white and mid grey, as colour calculators publish them.
+        let published = [
+            ([1.0, 0.0, 0.0], [53.24, 175.01, 37.76]),
+            ([0.0, 1.0, 0.0], [87.73, -83.08, 107.40]),
+            ([0.0, 0.0, 1.0], [32.30, -9.40, -130.34]),
+            ([1.0, 1.0, 1.0], [100.0, 0.0, 0.0]),
+            ([0.5, 0.5, 0.5], [53.39, 0.0, 0.0]),
+            ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ];
+        for (rgb, expected) in published {
+            let found = luv_from_linear(rgb.map(linear_from_srgb));
+            assert!((0..3).all(|i| (found[i] - expected[i]).abs() < 0.02), "{rgb:?}: {found:?}");
+        }
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! From files as scientists have them to a store: sources, analysis, encoding.
 
+pub mod encode;
 pub mod error;
 pub mod series;
+pub mod sim;
+pub mod sources;
 
 pub use error::SourceError;
 pub use series::{StepReader, TimeSeries, Variable};
