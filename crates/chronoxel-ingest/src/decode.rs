@@ -105,7 +105,11 @@ impl<'a> StepDecoder<'a> {
             SpanKind::Constant(value) => vec![value; self.layout.num_full()],
             SpanKind::Coded { .. } => {
                 let payload = self.store.read_payload(self.variable, level, span)?;
-                decode_f64(&payload, &self.layout, self.step - span.start)?
+                decode_f64(&payload, &self.layout, self.step - span.start).map_err(|error| {
+                    let place = format!("payload of level {level}, node {rank}, step {}", self.step);
+                    let path = self.store.path().to_owned();
+                    StoreError::Corrupt { path, field: place, value: error.to_string(), problem: "damaged".into() }
+                })?
             }
         };
         if let Some(mask) = self.store.read_mask(self.variable, level, span)? {

@@ -50,16 +50,19 @@ impl Output {
         stem: &str,
         description: &StoreDescription,
     ) -> Result<(Self, StoreWriter), EncodeError> {
-        let store = Store::open(found)?;
-        resume::compare(&store, description)?;
-        drop(store);
         let mut replaced = None;
+        // A store killed while it was created has no header yet: the writer starts it again.
+        if exists(&found.join("zarr.json")) {
+            let store = Store::open(found)?;
+            resume::compare(&store, description)?;
+        }
         if found != path {
             replaced = set_aside(path, stem)?;
             rename(found, path)?;
         }
         let output = Self { path: path.to_owned(), replaced };
-        Ok((output, StoreWriter::resume(path, description)?))
+        let (writer, _) = StoreWriter::resume(path, description)?;
+        Ok((output, writer))
     }
 
     fn create(
@@ -86,7 +89,7 @@ impl Output {
     /// The store is complete: what it replaced can go. Returns the bytes of all its files.
     pub fn keep(self) -> Result<u64, EncodeError> {
         self.replaced.as_deref().map_or(Ok(()), remove)?;
-        num_bytes(&self.path).map_err(|source| io(&self.path, "list", source))
+        Ok(Store::open(&self.path)?.stored_bytes()?)
     }
 
     /// After an error: nothing is left under the final name but what was there before.
@@ -139,16 +142,6 @@ fn set_aside(path: &Path, stem: &str) -> Result<Option<PathBuf>, EncodeError> {
     }
     rename(path, &aside)?;
     Ok(Some(aside))
-}
-
-fn num_bytes(folder: &Path) -> std::io::Result<u64> {
-    let mut bytes = 0;
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        let metadata = entry.metadata()?;
-        bytes += if metadata.is_dir() { num_bytes(&entry.path())? } else { metadata.len() };
-    }
-    Ok(bytes)
 }
 
 /// Only stores are ever removed: a folder of anything else is the user's.

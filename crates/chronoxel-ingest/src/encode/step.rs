@@ -165,37 +165,3 @@ fn refused(refusal: Refusal, coding: &Coding, step: usize, level: u8, brick: [us
         Refusal::Codec(source) => EncodeError::Brick { variable, step, level, brick, source },
     }
 }
-#[cfg(test)]
-mod perf {
-    use super::*;
-    use chronoxel_core::{BrickLayout, Samples, UniformGrid, octree::levels_of};
-    struct Mem { data: Vec<f32>, at: usize, area: usize }
-    impl StepReader for Mem {
-        fn read_slices(&mut self, n: usize) -> Result<Samples, crate::SourceError> {
-            let v = self.data[self.at..self.at + n * self.area].to_vec();
-            self.at += n * self.area;
-            Ok(Samples::F32(v))
-        }
-    }
-    #[test]
-    fn perf() {
-        let n = 256usize;
-        let layout = BrickLayout::new(32).unwrap();
-        let levels = levels_of(&UniformGrid::new([n; 3], [0.0; 3], [1.0; 3]).unwrap(), &layout);
-        let tree = Octree::full(&levels);
-        let data: Vec<f32> = (0..n * n * n).map(|i| { let (x, y, z) = (i % n, i / n % n, i / n / n); ((x as f32 * 0.05).sin() * (y as f32 * 0.07).cos() + (z as f32 * 0.03).sin()) + (i.wrapping_mul(2654435761) >> 8 & 0xffff) as f32 * 1e-6 }).collect();
-        let plan = StreamPlan { levels, layout, slab_slices: 16 };
-        let enc = Encoder { plan: &plan, tree: &tree, batch_bricks: 64 };
-        let coding = Coding { name: "a".into(), fill_value: None, is_integer: false, bits: 16, max_error: None, range: None };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
-        for _ in 0..8 {
-            let cpu = || { let s = std::fs::read_to_string("/proc/self/stat").unwrap(); let f: Vec<_> = s.rsplit(')').next().unwrap().split_whitespace().map(str::to_owned).collect(); (f[11].parse::<f64>().unwrap() , f[12].parse::<f64>().unwrap()) };
-            let reader = Box::new(Mem { data: data.clone(), at: 0, area: n * n });
-            let (a, t) = (cpu(), std::time::Instant::now());
-            let mut bytes = 0;
-            pool.install(|| enc.encode_step::<f32>(reader, &coding, 0, [0.0, 1.0], &mut |_, s| { bytes += s.len(); Ok(()) })).unwrap();
-            let b = cpu();
-            println!("wall {:?} user {} sys {} ms", t.elapsed(), (b.0 - a.0) * 10.0, (b.1 - a.1) * 10.0);
-        }
-    }
-}
