@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
+pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, LightJob, March};
 use table::Table;
 use tile::{Tile, Work};
@@ -54,38 +55,81 @@ pub fn render_with(
     bricks: &[DrawBrick],
     options: &CpuOptions,
 ) -> Result<(Image, RenderStats), RenderError> {
-    let start = Instant::now();
-    scene.check()?;
-    let tables = Tables::new(scene, bricks)?;
-    let mut stats = RenderStats::default();
-    let mut jobs = Vec::with_capacity(bricks.len());
-    for brick in bricks {
-        let job = Job::new(scene, brick, &tables, options)?;
-        match &job {
-            None => stats.bricks_skipped += 1,
-            Some(Job { work: Work::March(..), .. }) => stats.bricks_drawn += 1,
-            Some(_) => stats.bricks_constant += 1,
+    let mut frame = Frame::new(scene, *options)?;
+    frame.draw(bricks)?;
+    Ok(frame.finish())
+}
+
+/// A picture that is drawn in portions, front to back: for volumes whose bricks do not fit memory at once.
+pub struct Frame<'a> {
+    scene: &'a Scene,
+    options: CpuOptions,
+    tile_edge: usize,
+    /// Row by row; `None` where no brick was met yet.
+    tiles: Vec<Option<Tile>>,
+    stats: RenderStats,
+}
+
+impl<'a> Frame<'a> {
+    /// A picture on which nothing is drawn yet.
+    ///
+    /// # Errors
+    /// [`RenderError`] if the scene cannot be drawn.
+    pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
+        scene.check()?;
+        let tile_edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+        let num_tiles = scene.size.map(|n| n.div_ceil(tile_edge)).iter().product();
+        let tiles = std::iter::repeat_with(|| None).take(num_tiles).collect();
+        Ok(Self { scene, options, tile_edge, tiles, stats: RenderStats::default() })
+    }
+
+    /// Draws bricks behind those drawn before.
+    ///
+    /// * `bricks`: boxes that do not overlap, front to back
+    ///
+    /// # Errors
+    /// [`RenderError`] if a brick does not fit the scene.
+    pub fn draw(&mut self, bricks: &[DrawBrick]) -> Result<(), RenderError> {
+        let start = Instant::now();
+        let tables = Tables::new(self.scene, bricks)?;
+        let mut jobs = Vec::with_capacity(bricks.len());
+        for brick in bricks {
+            let job = Job::new(self.scene, brick, &tables, &self.options)?;
+            match &job {
+                None => self.stats.bricks_skipped += 1,
+                Some(Job { work: Work::March(..), .. }) => self.stats.bricks_drawn += 1,
+                Some(_) => self.stats.bricks_constant += 1,
+            }
+            jobs.extend(job);
         }
-        jobs.extend(job);
-    }
-    let edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
-    let tiles = bin(&jobs, scene.size, edge);
-    let drawn: Vec<Tile> = tiles
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|(corner, list)| {
-            let mut tile = Tile::new(scene, corner, edge);
+        let (scene, edge) = (self.scene, self.tile_edge);
+        let tiles_along = scene.size[0].div_ceil(edge);
+        let lists = bin(&jobs, scene.size, edge);
+        let draw_tile = |(i, (tile, list)): (usize, (&mut Option<Tile>, &Vec<u32>))| {
+            if list.is_empty() {
+                return;
+            }
+            let corner = [i % tiles_along * edge, i / tiles_along * edge];
+            let tile = tile.get_or_insert_with(|| Tile::new(scene, corner, edge));
             list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
-            tile
-        })
-        .collect();
-    let mut image = Image::new(scene.size[0], scene.size[1])?;
-    for tile in &drawn {
-        tile.copy_to(&mut image);
-        stats.num_samples += tile.num_samples();
+        };
+        self.tiles.par_iter_mut().zip(&lists).enumerate().with_max_len(1).for_each(draw_tile);
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        Ok(())
     }
-    stats.render_ms = start.elapsed().as_secs_f64() * 1e3;
-    Ok((image, stats))
+
+    /// The picture, and what it took.
+    pub fn finish(mut self) -> (Image, RenderStats) {
+        let start = Instant::now();
+        let [width, height] = self.scene.size;
+        let mut image = Image { width, height, pixels: vec![[0.0; 4]; width * height] };
+        for tile in self.tiles.iter().flatten() {
+            tile.copy_to(&mut image);
+            self.stats.num_samples += tile.num_samples();
+        }
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        (image, self.stats)
+    }
 }
 
 /// One table per level that is drawn: opacities are those of the level's step length.
@@ -253,8 +297,8 @@ fn pixels_of(scene: &Scene, region: [[f64; 3]; 2]) -> Option<[[usize; 2]; 2]> {
     pixels.iter().all(|[from, to]| from < to).then_some(pixels)
 }
 
-/// Tiles that some job touches: their first pixel, and their jobs in order.
-fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<([usize; 2], Vec<u32>)> {
+/// For each tile, row by row, the jobs that touch it, in order.
+fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<Vec<u32>> {
     let along = size.map(|n| n.div_ceil(edge));
     let mut lists = vec![Vec::new(); along[0] * along[1]];
     for (i, job) in jobs.iter().enumerate() {
@@ -265,6 +309,5 @@ fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<([usize; 2], Vec<u32>
             }
         }
     }
-    let corner = |i: usize| [i % along[0] * edge, i / along[0] * edge];
-    lists.into_iter().enumerate().filter(|(_, list)| !list.is_empty()).map(|(i, l)| (corner(i), l)).collect()
+    lists
 }
