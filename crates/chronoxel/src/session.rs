@@ -14,7 +14,7 @@ use chronoxel_core::{
     BitMask, BrickLayout, Camera, Image, Lighting, NodeId, Octree, PayloadAddress, ResidentBrick,
     ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
 };
-use chronoxel_render::{DrawBrick, DrawHow, PreparedBrick, RenderStats, Scene};
+use chronoxel_render::{CpuOptions, DrawBrick, DrawHow, Frame, PreparedBrick, RenderStats, Scene};
 use chronoxel_store::{Store, StoreError};
 use chronoxel_stream::{ByteLru, CacheCounts, DrawItem, How, Selector, ViewVolume};
 
@@ -114,7 +114,6 @@ pub struct Session {
     bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
     spans: ByteLru<(u8, u32), Spans>,
     portion_bytes: usize,
-    bytes_read: u64,
 }
 
 /// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
@@ -149,7 +148,6 @@ impl Session {
             bricks: ByteLru::new(share(RESIDENT_SHARE)),
             spans: ByteLru::new(share(SPANS_SHARE)),
             portion_bytes: share(PORTION_SHARE),
-            bytes_read: 0,
         })
     }
 
@@ -182,6 +180,11 @@ impl Session {
         self.bricks.counts()
     }
 
+    /// Bytes of payloads, masks and spans that were read so far.
+    pub fn bytes_from_disk(&self) -> u64 {
+        self.store.bytes_read()
+    }
+
     /// Forgets what is resident, as if the store had just been opened.
     pub fn forget(&mut self) {
         self.bricks.clear();
@@ -206,7 +209,7 @@ impl Session {
         let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
 
         let scene = self.scene(view);
-        let mut frame = chronoxel_render::Frame::new(&scene)?;
+        let mut frame = Frame::new(&scene, CpuOptions::default())?;
         let mut bricks = BrickCounts::default();
         let mut rest = &items[..];
         while !rest.is_empty() {
@@ -215,11 +218,11 @@ impl Session {
             rest = after;
             let draws = self.fetch(portion, step, view.lighting.is_some(), &mut bricks, &mut faults)?;
             fetch_ms += start.elapsed().as_secs_f64() * 1e3;
-            frame.draw(&draws);
+            frame.draw(&draws)?;
         }
         let (image, stats) = frame.finish();
-        let RenderStats { samples, render_ms, .. } = stats;
-        Ok(Picture { image, samples, bricks, fetch_ms, render_ms, warnings: faults.warnings })
+        let RenderStats { num_samples, render_ms, .. } = stats;
+        Ok(Picture { image, samples: num_samples, bricks, fetch_ms, render_ms, warnings: faults.warnings })
     }
 }
 

@@ -1,6 +1,6 @@
 //! The command line: one file per verb; arguments that several share are in `args` and `view`.
 
-pub mod args;
+mod args;
 mod compare;
 mod demo;
 mod encode;
@@ -11,7 +11,7 @@ mod output;
 mod play;
 mod render;
 mod verify;
-pub mod view;
+mod view;
 
 use std::process::ExitCode;
 

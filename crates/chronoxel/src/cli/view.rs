@@ -95,8 +95,8 @@ pub struct TransferArgs {
 #[derive(Debug, Clone, Args)]
 pub struct StepArgs {
     /// Time step, from 0 [default: the first]
-    #[arg(short = 't', long = "time-step", value_name = "STEP", conflicts_with = "time")]
-    pub step: Option<usize>,
+    #[arg(short = 't', long, value_name = "STEP", conflicts_with = "time")]
+    pub time_step: Option<usize>,
     /// Time, in the source's units; the nearest step is drawn
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse_finite)]
     pub time: Option<f64>,
@@ -210,6 +210,7 @@ impl ViewArgs {
         }
         shown.composite(&picture.image)?;
         let mut occupied = Vec::new();
+        let mut color_bar = None;
         if self.colorbar {
             let variable = &header.variables[session.variable()];
             let bar = ColorBar {
@@ -218,8 +219,8 @@ impl ViewArgs {
                 name: &variable.name,
                 units: &variable.units,
             };
-            bar.draw(&mut shown, &style);
-            occupied.push(bar.area(&shown, &style));
+            occupied.extend(bar.areas(&shown, &style));
+            color_bar = Some(bar);
         }
         if self.time_label {
             let label = TimeLabel::new(&header.times);
@@ -227,6 +228,9 @@ impl ViewArgs {
         }
         if self.axes {
             axes.draw_outline(&mut shown, &style, &occupied);
+        }
+        if let Some(bar) = color_bar {
+            bar.draw(&mut shown, &style);
         }
         Ok(shown)
     }
@@ -295,7 +299,7 @@ impl StepArgs {
         if let Some(time) = self.time {
             return Ok(header.times.nearest_step(time).min(num_steps - 1));
         }
-        let step = self.step.unwrap_or(0);
+        let step = self.time_step.unwrap_or(0);
         anyhow::ensure!(step < num_steps, "step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
         Ok(step)
     }
