@@ -464,7 +464,12 @@ pub(crate) fn find_header(root: &Path) -> Result<Option<Header>, StoreError> {
 }
 
 /// The Morton indices of a level, checked against its bricks.
-fn read_nodes(root: &Path, level: u8, num_nodes: usize, bricks: [usize; 3]) -> Result<Vec<u64>, StoreError> {
+pub(crate) fn read_nodes(
+    root: &Path,
+    level: u8,
+    num_nodes: usize,
+    bricks: [usize; 3],
+) -> Result<Vec<u64>, StoreError> {
     let path = root.join(nodes_file(level));
     let due = 8 * num_nodes as u64 + 4;
     let Some(bytes) = files::read_whole(&path, due)? else {
