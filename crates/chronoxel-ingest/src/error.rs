@@ -1,7 +1,10 @@
 //! What can go wrong while reading a source or encoding it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use chronoxel_codec::CodecError;
+use chronoxel_core::CoreError;
+use chronoxel_store::StoreError;
 use thiserror::Error;
 
 /// A source that cannot be read.
@@ -52,4 +55,183 @@ pub enum SourceError {
         /// What would be right.
         remedy: String,
     },
+}
+
+/// A series that cannot be encoded.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The source cannot be read.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The store cannot be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A grid or brick layout that cannot be used.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The caller asked for something that cannot be done.
+    #[error("{argument} {value}: {remedy}")]
+    InvalidArgument {
+        /// The argument, in the user's words.
+        argument: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        remedy: String,
+    },
+    /// The output is already there.
+    #[error("{}: already exists: use --overwrite to replace it{}", path.display(), if *is_unfinished { ", or --resume to continue it" } else { "" })]
+    OutputExists {
+        /// The output.
+        path: PathBuf,
+        /// Whether it is a store that a resume could continue.
+        is_unfinished: bool,
+    },
+    /// The working set does not fit.
+    #[error("--memory {given} bytes: this grid needs at least {needed} bytes ({} MiB): raise it, or use smaller bricks", needed.div_ceil(1 << 20))]
+    Memory {
+        /// Bytes allowed.
+        given: u64,
+        /// Bytes needed at least.
+        needed: u64,
+    },
+    /// 16 bits cannot hold the error bound.
+    #[error(
+        "--max-error {max_error}: variable {variable}, step {step}, brick ({}, {}, {}): 16 bits leave an error of {error:e} and {bound:e} is allowed: raise it, or give a wider --range",
+        brick[0], brick[1], brick[2]
+    )]
+    Bound {
+        /// The variable.
+        variable: String,
+        /// The step.
+        step: usize,
+        /// The brick of level 0, along x, y, z.
+        brick: [usize; 3],
+        /// The bound, relative to the range.
+        max_error: f64,
+        /// The error found, in the variable's units.
+        error: f64,
+        /// The bound, in the variable's units.
+        bound: f64,
+    },
+    /// A brick that no payload can hold.
+    #[error("variable {variable}, step {step}, level {level}, brick ({}, {}, {}): {source}", brick[0], brick[1], brick[2])]
+    Brick {
+        /// The variable.
+        variable: String,
+        /// The step.
+        step: usize,
+        /// The level.
+        level: u8,
+        /// The brick, along x, y, z.
+        brick: [usize; 3],
+        /// Why.
+        source: CodecError,
+    },
+    /// A variable of which no sample has a value.
+    #[error(
+        "variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value"
+    )]
+    NoData {
+        /// The variable.
+        variable: String,
+        /// Steps of the series.
+        num_steps: usize,
+    },
+    /// The store to resume was made otherwise.
+    #[error("{}: cannot resume: {field} was {was} and is {is}: give the same source and options, or --overwrite", path.display())]
+    ResumeDiffers {
+        /// The store.
+        path: PathBuf,
+        /// What differs.
+        field: String,
+        /// In the store.
+        was: String,
+        /// Now.
+        is: String,
+    },
+    /// Encoding ended early; what was finished is kept.
+    #[error("{source}; {num_steps} finished steps are kept in {}: encode again with --resume to continue", path.display())]
+    Interrupted {
+        /// Where they are kept.
+        path: PathBuf,
+        /// How many.
+        num_steps: usize,
+        /// What happened.
+        source: Box<EncodeError>,
+    },
+}
+
+/// Longest piece of a file that a message repeats, in characters.
+const MAX_QUOTED_CHARS: usize = 80;
+
+impl SourceError {
+    /// The operating system refused `action` on `path`.
+    pub(crate) fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), action, source }
+    }
+
+    /// The file contradicts itself or its format.
+    pub(crate) fn corrupt(
+        path: &Path,
+        field: impl Into<String>,
+        value: impl ToString,
+        problem: impl Into<String>,
+    ) -> Self {
+        Self::Corrupt {
+            path: path.to_owned(),
+            field: field.into(),
+            value: quoted(&value.to_string()),
+            problem: problem.into(),
+        }
+    }
+
+    /// The file uses something that is not read.
+    pub(crate) fn unsupported(
+        path: &Path,
+        field: impl Into<String>,
+        value: impl ToString,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Unsupported {
+            path: path.to_owned(),
+            field: field.into(),
+            value: quoted(&value.to_string()),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// The caller asked for something that cannot be done.
+    pub(crate) fn argument(argument: &'static str, value: impl ToString, remedy: impl Into<String>) -> Self {
+        Self::InvalidArgument { argument, value: quoted(&value.to_string()), remedy: remedy.into() }
+    }
+
+    /// What failed while bytes came through a [`std::io::Read`]: the operating system, or a decoder
+    /// that found the bytes to be wrong.
+    pub(crate) fn from_read(path: &Path, field: &str, source: std::io::Error) -> Self {
+        if source.raw_os_error().is_some() {
+            return Self::io(path, "read", source);
+        }
+        match source.downcast::<Self>() {
+            Ok(inner) => inner,
+            Err(other) => {
+                Self::corrupt(path, field, other, "the data cannot be decoded; write the file again")
+            }
+        }
+    }
+}
+
+/// Text from a file as a message may show it: on one line, not too long, never empty.
+fn quoted(text: &str) -> String {
+    let trimmed = text.trim();
+    if trimmed.is_empty() {
+        return "empty".to_owned();
+    }
+    let mut shown: String =
+        trimmed.chars().take(MAX_QUOTED_CHARS).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    if trimmed.chars().nth(MAX_QUOTED_CHARS).is_some() {
+        shown.push('…');
+    }
+    shown
 }
