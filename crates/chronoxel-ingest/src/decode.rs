@@ -108,7 +108,12 @@ impl<'a> StepDecoder<'a> {
                 decode_f64(&payload, &self.layout, self.step - span.start).map_err(|error| {
                     let place = format!("payload of level {level}, node {rank}, step {}", self.step);
                     let path = self.store.path().to_owned();
-                    StoreError::Corrupt { path, field: place, value: error.to_string(), problem: "damaged".into() }
+                    StoreError::Corrupt {
+                        path,
+                        field: place,
+                        value: error.to_string(),
+                        problem: "damaged".into(),
+                    }
                 })?
             }
         };
@@ -129,7 +134,13 @@ impl<'a> StepDecoder<'a> {
     }
 
     /// Trilinear interpolation between the samples of an ancestor; masked where its nearest sample is.
-    fn interpolated(&self, full: &[f64], node: NodeId, first: [usize; 3], [nx, ny, nz]: [usize; 3]) -> Vec<f64> {
+    fn interpolated(
+        &self,
+        full: &[f64],
+        node: NodeId,
+        first: [usize; 3],
+        [nx, ny, nz]: [usize; 3],
+    ) -> Vec<f64> {
         let (edge, low) = (self.layout.full_edge(), self.layout.low);
         let origin = node.brick().map(|b| b as usize * self.layout.edge);
         // Place and fraction along an axis, in samples of the brick.
@@ -173,7 +184,8 @@ impl Block {
         let [nx, ny, nz] = self.extent;
         for k in (0..nz).filter(|k| z.contains(&(self.first[2] + k))) {
             for j in 0..ny {
-                let row = self.first[0] + width * (self.first[1] + j + height * (self.first[2] + k - z.start));
+                let row =
+                    self.first[0] + width * (self.first[1] + j + height * (self.first[2] + k - z.start));
                 slab[row..row + nx].copy_from_slice(&self.samples[nx * (j + ny * k)..][..nx]);
             }
         }

@@ -127,10 +127,12 @@ pub enum EncodeError {
         /// The brick, along x, y, z.
         brick: [usize; 3],
         /// Why.
-        source: CodecError,
+        source: Box<CodecError>,
     },
     /// A variable of which no sample has a value.
-    #[error("variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value")]
+    #[error(
+        "variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value"
+    )]
     NoData {
         /// The variable.
         variable: String,

@@ -83,8 +83,9 @@ fn spans_hold_the_statistics_of_the_source() {
 
 #[test]
 fn noise_is_within_half_a_step_of_each_brick() {
-    let mut series =
-        MemorySeries::of([45, 33, 37], SampleType::F32, 1, |_, [x, y, z]| f64::from(noise((x + 50 * (y + 50 * z)) as u64) as f32));
+    let mut series = MemorySeries::of([45, 33, 37], SampleType::F32, 1, |_, [x, y, z]| {
+        f64::from(noise((x + 50 * (y + 50 * z)) as u64) as f32)
+    });
     for (bits, steps) in [(8, 255.0), (16, 65535.0)] {
         let encoded = encoded(&mut series, &EncodeOptions { bits: Some(bits), ..raw() });
         let worst = pairs(&encoded, &series, 0).iter().map(|(d, s)| (d - s).abs()).fold(0.0, f64::max);
@@ -145,7 +146,9 @@ fn odd_shapes_come_back() {
 #[test]
 fn integers_up_to_16_bits_lose_nothing() {
     let wide = |low: f64, high: f64| {
-        move |s: usize, [x, y, z]: [usize; 3]| low + (noise((s + x * 7 + y * 1009 + z * 77_777) as u64) * (high - low + 1.0)).floor()
+        move |s: usize, [x, y, z]: [usize; 3]| {
+            low + (noise((s + x * 7 + y * 1009 + z * 77_777) as u64) * (high - low + 1.0)).floor()
+        }
     };
     for (sample_type, low, high) in [
         (SampleType::U8, 0.0, 255.0),
@@ -194,7 +197,8 @@ fn the_error_bound_holds_whatever_the_samples() {
         ("large offset", Box::new(move |s, p| 1e6 + hash(s, p))),
     ];
     for (name, field) in fields {
-        let mut series = MemorySeries::of([37, 34, 33], SampleType::F32, 2, |s, p| f64::from(field(s, p) as f32));
+        let mut series =
+            MemorySeries::of([37, 34, 33], SampleType::F32, 2, |s, p| f64::from(field(s, p) as f32));
         let all = series.steps[0].iter().flatten();
         let width = all.clone().copied().fold(f64::MIN, f64::max) - all.copied().fold(f64::MAX, f64::min);
         for max_error in [1e-2, 1e-3, 1e-4] {
@@ -223,7 +227,8 @@ fn a_looser_bound_takes_fewer_bytes() {
 
 #[test]
 fn a_bound_beyond_16_bits_is_refused_by_name() {
-    let value = |s, [x, y, z]: [usize; 3]| noise((x + 100 * y + 10_000 * z) as u64) * if s == 1 { 1.0 } else { 0.0 };
+    let value =
+        |s, [x, y, z]: [usize; 3]| noise((x + 100 * y + 10_000 * z) as u64) * if s == 1 { 1.0 } else { 0.0 };
     let mut series = MemorySeries::of([40, 10, 10], SampleType::F64, 2, value);
     let error = try_encoded(&mut series, &bounded(1e-7)).err().expect("16 bits leave 7.6e-6");
     let text = error.to_string();
@@ -245,7 +250,8 @@ fn a_given_range_is_what_errors_refer_to() {
 #[test]
 fn aprons_equal_their_neighbours_cores() {
     let value = |_, [x, y, z]: [usize; 3]| (x as f64 * 0.3).sin() * 50.0 + y as f64 + 0.1 * z as f64;
-    let mut series = MemorySeries::of([100, 70, 40], SampleType::F32, 1, |s, p| f64::from(value(s, p) as f32));
+    let mut series =
+        MemorySeries::of([100, 70, 40], SampleType::F32, 1, |s, p| f64::from(value(s, p) as f32));
     let encoded = encoded(&mut series, &raw());
     let store = &encoded.store;
     for level in 0..2u8 {
@@ -300,7 +306,8 @@ fn too_little_memory_is_an_error_that_says_how_much() {
 
 #[test]
 fn a_step_without_data_is_fine_a_series_without_is_not() {
-    let mut series = MemorySeries::of([40, 9, 9], SampleType::F32, 3, |s, _| if s == 1 { 1.0 } else { f64::NAN });
+    let mut series =
+        MemorySeries::of([40, 9, 9], SampleType::F32, 3, |s, _| if s == 1 { 1.0 } else { f64::NAN });
     let encoded = encoded(&mut series, &raw());
     assert!(decode_step(&encoded.store, 0, 0).unwrap().iter().all(|v| v.is_nan()));
     assert!(decode_step(&encoded.store, 0, 1).unwrap().iter().all(|v| *v == 1.0));

@@ -21,7 +21,12 @@ fn mixed(dims: [usize; 3], num_steps: usize) -> MemorySeries {
 }
 
 fn options() -> EncodeOptions {
-    EncodeOptions { codec: Codec::Auto, max_error: Some(1e-3), source_name: "mixed".into(), ..EncodeOptions::default() }
+    EncodeOptions {
+        codec: Codec::Auto,
+        max_error: Some(1e-3),
+        source_name: "mixed".into(),
+        ..EncodeOptions::default()
+    }
 }
 
 fn run(series: &mut MemorySeries, path: &Path, options: &EncodeOptions) -> Result<EncodeReport, EncodeError> {
@@ -36,10 +41,12 @@ fn resumed() -> EncodeOptions {
 fn threads_and_memory_do_not_change_a_byte() {
     let folder = tempfile::tempdir().unwrap();
     let mut series = mixed([70, 65, 50], 3);
-    let least = match run(&mut series, &folder.path().join("x.cxl"), &EncodeOptions { memory_bytes: 1, ..options() }) {
-        Err(EncodeError::Memory { needed, .. }) => needed,
-        other => panic!("{other:?}"),
-    };
+    let least =
+        match run(&mut series, &folder.path().join("x.cxl"), &EncodeOptions { memory_bytes: 1, ..options() })
+        {
+            Err(EncodeError::Memory { needed, .. }) => needed,
+            other => panic!("{other:?}"),
+        };
     let mut expected = None;
     for (threads, memory_bytes) in [(1, 1 << 30), (4, 1 << 30), (1, least), (3, 3 * least)] {
         let path = folder.path().join(format!("{threads}-{memory_bytes}.cxl"));
@@ -63,12 +70,16 @@ fn an_error_keeps_finished_steps_aside_and_a_resume_completes_them() {
     let error = run(&mut series, &path, &options()).unwrap_err();
     assert!(matches!(&error, EncodeError::Interrupted { num_steps: 16, .. }), "{error:?}");
     let text = error.to_string();
-    assert!(text.contains("s.partial.cxl") && text.contains("--resume") && text.contains("broken on purpose"));
+    assert!(
+        text.contains("s.partial.cxl") && text.contains("--resume") && text.contains("broken on purpose")
+    );
     assert!(!path.exists() && kept.exists());
     let store = Store::open(&kept).unwrap();
     assert_eq!(store.header().num_steps_finished, 16);
     let of_whole = Store::open(&whole).unwrap();
-    let bits = |store: &Store, step| decode_step(store, 0, step).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    let bits = |store: &Store, step| {
+        decode_step(store, 0, step).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+    };
     assert_eq!(bits(&store, 15), bits(&of_whole, 15));
     assert!(decode_step(&store, 0, 16).is_err());
 

@@ -113,16 +113,25 @@ impl EncodeOptions {
         }
         if let Some(error) = self.max_error {
             if !(0.0..1.0).contains(&error) {
-                return invalid("--max-error", error.to_string(), "a share of the range: at least 0, below 1");
+                return invalid(
+                    "--max-error",
+                    error.to_string(),
+                    "a share of the range: at least 0, below 1",
+                );
             }
             if self.codec == Codec::Raw {
                 return invalid("--max-error", error.to_string(), "goes with --codec auto; raw has --bits");
             }
             if self.bits.is_some() {
-                return invalid("--max-error", error.to_string(), "chooses the bits itself: leave --bits out");
+                return invalid(
+                    "--max-error",
+                    error.to_string(),
+                    "chooses the bits itself: leave --bits out",
+                );
             }
         }
-        if let Some([low, high]) = self.range.filter(|[low, high]| !(low < high && (high - low).is_finite())) {
+        if let Some([low, high]) = self.range.filter(|[low, high]| !(low < high && (high - low).is_finite()))
+        {
             return invalid("--range", format!("{low}:{high}"), "MIN must be below MAX, both finite");
         }
         if self.overwrite && self.resume {
@@ -132,13 +141,20 @@ impl EncodeOptions {
     }
 
     /// The variables to encode, with their indices in the series.
-    pub(super) fn choose_variables(&self, available: &[Variable]) -> Result<Vec<(usize, Coding)>, EncodeError> {
+    pub(super) fn choose_variables(
+        &self,
+        available: &[Variable],
+    ) -> Result<Vec<(usize, Coding)>, EncodeError> {
         let names: Vec<&str> = available.iter().map(|v| v.name.as_str()).collect();
         let mut chosen: Vec<usize> = Vec::new();
         for wanted in &self.variables {
             let Some(index) = names.iter().position(|name| name == wanted) else {
                 let remedy = format!("the source has {}", names.join(", "));
-                return Err(EncodeError::InvalidArgument { argument: "--variable", value: wanted.clone(), remedy });
+                return Err(EncodeError::InvalidArgument {
+                    argument: "--variable",
+                    value: wanted.clone(),
+                    remedy,
+                });
             };
             if !chosen.contains(&index) {
                 chosen.push(index);

@@ -112,7 +112,9 @@ impl Output {
         };
         self.restore();
         match kept {
-            Some(path) if num_steps > 0 => EncodeError::Interrupted { path, num_steps, source: Box::new(error) },
+            Some(path) if num_steps > 0 => {
+                EncodeError::Interrupted { path, num_steps, source: Box::new(error) }
+            }
             _ => error,
         }
     }

@@ -43,8 +43,10 @@ pub fn compare(store: &Store, now: &StoreDescription) -> Result<(), EncodeError>
         return differs(&format!("time of step {step}"), &was.times.times[step], &now.times.times[step]);
     }
     let names = |names: Vec<&String>| names.into_iter().cloned().collect::<Vec<_>>();
-    let (names_were, names_are) =
-        (names(was.variables.iter().map(|v| &v.name).collect()), names(now.variables.iter().map(|v| &v.name).collect()));
+    let (names_were, names_are) = (
+        names(was.variables.iter().map(|v| &v.name).collect()),
+        names(now.variables.iter().map(|v| &v.name).collect()),
+    );
     if names_were != names_are {
         return differs("variables", &names_were, &names_are);
     }
@@ -60,7 +62,8 @@ pub fn compare(store: &Store, now: &StoreDescription) -> Result<(), EncodeError>
             return differs(&field("fill value"), &was.fill_value, &now.fill_value);
         }
     }
-    compare_options(&was.encoder, &now.encoder).map_or(Ok(()), |(field, was, is)| differs(&field, &was, &is))?;
+    compare_options(&was.encoder, &now.encoder)
+        .map_or(Ok(()), |(field, was, is)| differs(&field, &was, &is))?;
     for (was, now) in was.variables.iter().zip(&now.variables) {
         if was.windows != now.windows || was.classes != now.classes {
             return differs("payload classes", &was.classes, &now.classes);
@@ -74,7 +77,9 @@ fn compare_options(was: &Value, is: &Value) -> Option<(String, Value, Value)> {
     let (Value::Object(was), Value::Object(is)) = (was, is) else {
         return (was != is).then(|| ("options".into(), was.clone(), is.clone()));
     };
-    let of = |options: &serde_json::Map<String, Value>, key: &str| options.get(key).cloned().unwrap_or(Value::Null);
+    let of = |options: &serde_json::Map<String, Value>, key: &str| {
+        options.get(key).cloned().unwrap_or(Value::Null)
+    };
     is.keys()
         .chain(was.keys())
         .find(|key| of(was, key) != of(is, key))

@@ -134,7 +134,14 @@ impl Encoder<'_> {
         spans.into_iter().collect()
     }
 
-    fn span(&self, node_rank: u32, step: usize, coded: CodedBrick, analysis: &Analysis, coding: &Coding) -> SpanWrite {
+    fn span(
+        &self,
+        node_rank: u32,
+        step: usize,
+        coded: CodedBrick,
+        analysis: &Analysis,
+        coding: &Coding,
+    ) -> SpanWrite {
         let content = match coded.choice {
             Choice::Empty => SpanContent::Empty,
             Choice::Constant(value) => SpanContent::Constant(value),
@@ -159,9 +166,16 @@ impl Encoder<'_> {
 fn refused(refusal: Refusal, coding: &Coding, step: usize, level: u8, brick: [usize; 3]) -> EncodeError {
     let variable = coding.name.clone();
     match refusal {
-        Refusal::Bound { error, bound } => {
-            EncodeError::Bound { variable, step, brick, max_error: coding.max_error.unwrap_or(0.0), error, bound }
+        Refusal::Bound { error, bound } => EncodeError::Bound {
+            variable,
+            step,
+            brick,
+            max_error: coding.max_error.unwrap_or(0.0),
+            error,
+            bound,
+        },
+        Refusal::Codec(source) => {
+            EncodeError::Brick { variable, step, level, brick, source: Box::new(source) }
         }
-        Refusal::Codec(source) => EncodeError::Brick { variable, step, level, brick, source },
     }
 }

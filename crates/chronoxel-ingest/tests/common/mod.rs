@@ -23,8 +23,7 @@ pub struct MemorySeries {
 impl MemorySeries {
     pub fn new(dims: [usize; 3], sample_type: SampleType, steps: Vec<Vec<f64>>) -> Self {
         let times = TimeAxis::regular(steps.len(), 0.5, "s").unwrap();
-        let variable =
-            Variable { name: "v".into(), units: "K".into(), sample_type, fill_value: None };
+        let variable = Variable { name: "v".into(), units: "K".into(), sample_type, fill_value: None };
         let slices_read = vec![0; steps.len()];
         Self {
             grid: UniformGrid::new(dims, [0.0; 3], [1.0, 1.0, 2.0]).unwrap(),
@@ -37,7 +36,12 @@ impl MemorySeries {
     }
 
     /// Samples from a function of step and place.
-    pub fn of(dims: [usize; 3], sample_type: SampleType, num_steps: usize, f: impl Fn(usize, [usize; 3]) -> f64) -> Self {
+    pub fn of(
+        dims: [usize; 3],
+        sample_type: SampleType,
+        num_steps: usize,
+        f: impl Fn(usize, [usize; 3]) -> f64,
+    ) -> Self {
         let step = |s: usize| {
             let place = |i: usize| [i % dims[0], i / dims[0] % dims[1], i / (dims[0] * dims[1])];
             (0..dims.iter().product()).map(|i| f(s, place(i))).collect()
@@ -59,7 +63,11 @@ impl TimeSeries for MemorySeries {
         &self.variables
     }
 
-    fn open_step<'a>(&'a mut self, variable: usize, step: usize) -> Result<Box<dyn StepReader + 'a>, SourceError> {
+    fn open_step<'a>(
+        &'a mut self,
+        variable: usize,
+        step: usize,
+    ) -> Result<Box<dyn StepReader + 'a>, SourceError> {
         Ok(Box::new(MemoryReader {
             area: self.grid.dims[0] * self.grid.dims[1],
             samples: &self.steps[variable][step],
