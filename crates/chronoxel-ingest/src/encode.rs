@@ -173,18 +173,17 @@ impl Job {
             Encoder { plan: &self.plan, tree: &self.description.tree, batch_bricks: self.batch_bricks };
         let num_finest = self.description.tree.nodes(0).len() as f64;
         let mut finest_done = 0;
-        let mut put = |level: u8, spans: Vec<chronoxel_store::SpanWrite>| {
+        let mut on_bricks = |level: u8, num_bricks: usize| {
             if level == 0 {
-                finest_done += spans.len();
+                finest_done += num_bricks;
+                share(finest_done as f64 / num_finest);
             }
-            writer.put(variable, level, spans)?;
-            share(finest_done as f64 / num_finest);
-            Ok(())
         };
+        let mut put = |level, spans| Ok(writer.put(variable, level, spans)?);
         let reader = series.open_step(*index, step)?;
         match fits_f32 {
-            true => encoder.encode_step::<f32>(reader, coding, step, seen, &mut put),
-            false => encoder.encode_step::<f64>(reader, coding, step, seen, &mut put),
+            true => encoder.encode_step::<f32>(reader, coding, step, seen, &mut put, &mut on_bricks),
+            false => encoder.encode_step::<f64>(reader, coding, step, seen, &mut put, &mut on_bricks),
         }
     }
 }

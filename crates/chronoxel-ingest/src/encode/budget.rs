@@ -80,7 +80,8 @@ fn slices_bytes(levels: &[LevelGeometry], layout: &BrickLayout, (held, raw): (u6
     bytes
 }
 
-/// For each thread a brick being cut and quantised; for each brick of a batch its indices, bytes and compressed bytes.
+/// For each thread a brick being cut and quantised; for each brick of a batch its bytes, while those of the batch
+/// before are compressed.
 fn bricks_bytes(layout: &BrickLayout, held: u64, num_threads: usize, batch: usize) -> u64 {
     let full = layout.num_full() as u64;
     full * ((held + 4) * num_threads as u64 + 8 * batch as u64)
