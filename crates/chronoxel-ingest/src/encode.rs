@@ -23,7 +23,7 @@ pub(crate) mod window;
 use std::path::Path;
 use std::time::Instant;
 
-use chronoxel_core::{BrickLayout, Octree, octree::levels_of};
+use chronoxel_core::{BrickLayout, Octree, SampleType, octree::levels_of};
 use chronoxel_store::{StoreDescription, StoreWriter, VariableDescription};
 
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
@@ -79,8 +79,14 @@ impl Job {
         let levels = levels_of(&grid, &layout);
         let variables = options.choose_variables(series.variables())?;
         let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
-        let threads = rayon::current_num_threads();
-        let portions = budget::portions(&levels, &layout, types, threads, options.memory_bytes)?;
+        let task = budget::Task {
+            levels: &levels,
+            layout: &layout,
+            sample_type: types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64),
+            num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
+            num_threads: rayon::current_num_threads(),
+        };
+        let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {
             let variable = &series.variables()[*index];
             VariableDescription {

@@ -20,8 +20,6 @@ pub struct Coding {
     pub name: String,
     /// Value that means "no data".
     pub fill_value: Option<f64>,
-    /// Whether its samples are whole numbers.
-    pub is_integer: bool,
     /// Bits per index where no error is given.
     pub bits: u8,
     /// Largest error, relative to the range.
@@ -48,12 +46,7 @@ impl Coding {
         let [low, high] = self.range.unwrap_or(seen);
         // Halved before the difference and doubled after, which cannot overflow on the way.
         let width = 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX);
-        Demand {
-            bits: self.bits,
-            whole_numbers: self.is_integer && level == 0,
-            bound: self.max_error.map(|e| e * width),
-            bound_is_binding: level == 0,
-        }
+        Demand { bits: self.bits, bound: self.max_error.map(|e| e * width), bound_is_binding: level == 0 }
     }
 }
 
