@@ -1,6 +1,6 @@
 //! What can go wrong while reading a source or encoding it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use chronoxel_codec::CodecError;
 use chronoxel_core::CoreError;
@@ -161,4 +161,77 @@ pub enum EncodeError {
         /// What happened.
         source: Box<EncodeError>,
     },
+}
+
+/// Longest piece of a file that a message repeats, in characters.
+const MAX_QUOTED_CHARS: usize = 80;
+
+impl SourceError {
+    /// The operating system refused `action` on `path`.
+    pub(crate) fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), action, source }
+    }
+
+    /// The file contradicts itself or its format.
+    pub(crate) fn corrupt(
+        path: &Path,
+        field: impl Into<String>,
+        value: impl ToString,
+        problem: impl Into<String>,
+    ) -> Self {
+        Self::Corrupt {
+            path: path.to_owned(),
+            field: field.into(),
+            value: quoted(&value.to_string()),
+            problem: problem.into(),
+        }
+    }
+
+    /// The file uses something that is not read.
+    pub(crate) fn unsupported(
+        path: &Path,
+        field: impl Into<String>,
+        value: impl ToString,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Unsupported {
+            path: path.to_owned(),
+            field: field.into(),
+            value: quoted(&value.to_string()),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// The caller asked for something that cannot be done.
+    pub(crate) fn argument(argument: &'static str, value: impl ToString, remedy: impl Into<String>) -> Self {
+        Self::InvalidArgument { argument, value: quoted(&value.to_string()), remedy: remedy.into() }
+    }
+
+    /// What failed while bytes came through a [`std::io::Read`]: the operating system, or a decoder
+    /// that found the bytes to be wrong.
+    pub(crate) fn from_read(path: &Path, field: &str, source: std::io::Error) -> Self {
+        if source.raw_os_error().is_some() {
+            return Self::io(path, "read", source);
+        }
+        match source.downcast::<Self>() {
+            Ok(inner) => inner,
+            Err(other) => {
+                Self::corrupt(path, field, other, "the data cannot be decoded; write the file again")
+            }
+        }
+    }
+}
+
+/// Text from a file as a message may show it: on one line, not too long, never empty.
+fn quoted(text: &str) -> String {
+    let trimmed = text.trim();
+    if trimmed.is_empty() {
+        return "empty".to_owned();
+    }
+    let mut shown: String =
+        trimmed.chars().take(MAX_QUOTED_CHARS).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    if trimmed.chars().nth(MAX_QUOTED_CHARS).is_some() {
+        shown.push('…');
+    }
+    shown
 }

@@ -5,6 +5,8 @@ pub mod encode;
 pub mod error;
 pub mod measure;
 pub mod series;
+pub mod sim;
+pub mod sources;
 
 pub use decode::{StepDecoder, decode_step};
 pub use encode::{Codec, EncodeOptions, EncodeReport, Progress, encode};

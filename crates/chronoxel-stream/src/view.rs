@@ -1,5 +1,7 @@
 //! What of the volume a camera can see, in voxel coordinates.
 
+use chronoxel_core::{Camera, Projection, UniformGrid};
+
 /// From where the volume is seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Eye {
@@ -38,6 +40,31 @@ pub struct ViewVolume {
 }
 
 impl ViewVolume {
+    /// What a camera sees in a picture of `aspect` (width over height).
+    pub fn of_camera(camera: &Camera, aspect: f64, grid: &UniformGrid) -> Self {
+        let [right, up, forward] = camera.axes();
+        let half = camera.half_height();
+        let perspective = matches!(camera.projection(), Projection::Perspective { .. });
+        // Each half-space as weights of (right, up, forward) and a constant, relative to the camera.
+        let sides =
+            [[1.0, 0.0, half * aspect], [-1.0, 0.0, half * aspect], [0.0, 1.0, half], [0.0, -1.0, half]];
+        let relative = sides.map(|[r, u, reach]| match perspective {
+            true => [r, u, reach, 0.0],
+            false => [r, u, 0.0, reach],
+        });
+        let planes = relative.into_iter().chain([[0.0, 0.0, 1.0, 0.0]]).map(|[r, u, f, constant]| {
+            let normal: [f64; 3] = std::array::from_fn(|a| r * right[a] + u * up[a] + f * forward[a]);
+            let offset: f64 = (0..3).map(|a| normal[a] * (grid.origin[a] - camera.position()[a])).sum();
+            let [x, y, z] = std::array::from_fn(|a| normal[a] * grid.spacing[a]);
+            [x, y, z, constant + offset]
+        });
+        let eye = match perspective {
+            true => Eye::At(grid.voxel_from_world(camera.position())),
+            false => Eye::Along(forward),
+        };
+        Self { eye, planes: planes.collect() }
+    }
+
     /// Whether a box may be visible: false only where it lies wholly outside one of the half-spaces.
     pub fn may_see(&self, [low, high]: [[f64; 3]; 2]) -> bool {
         self.planes.iter().all(|plane| {
@@ -76,6 +103,21 @@ mod tests {
     fn orthographic_order_follows_the_direction() {
         let order = Eye::Along([1.0, -1.0, 1.0]).octants_front_to_back([0.0; 3]);
         assert_eq!((order[0], order[7]), (0b010, 0b101));
+    }
+
+    #[test]
+    fn a_box_is_seen_exactly_where_its_corners_project() {
+        let grid = UniformGrid::new([9, 9, 9], [-4.0, 2.0, 0.0], [1.0, 0.5, 2.0]).unwrap();
+        for fov in [Some(30.0), None] {
+            let camera = Camera::orbit(grid.bounds(), 40.0, 25.0, 3.0, fov, 1.5).unwrap();
+            let view = ViewVolume::of_camera(&camera, 1.5, &grid);
+            for i in 0..729 {
+                let point = [i % 9, i / 9 % 9, i / 81].map(f64::from);
+                let [x, y, _] = camera.project(grid.world_from_voxel(point), [150, 100]).unwrap();
+                let inside = (0.0..=150.0).contains(&x) && (0.0..=100.0).contains(&y);
+                assert_eq!(view.may_see([point, point]), inside, "{point:?} at {x}, {y}");
+            }
+        }
     }
 
     #[test]

@@ -1,0 +1,156 @@
+//! Sources: one file per format, each opened by [`open`] as a [`TimeSeries`].
+//!
+//! A format is chosen by the file's extension and held against its first bytes. Headers are read when a
+//! series is opened, samples only when a step is; both are treated as hostile.
+
+mod file_series;
+mod format;
+mod natural_order;
+mod npy;
+mod nrrd;
+mod nrrd_data;
+mod nrrd_header;
+mod number_text;
+mod pvd;
+mod raw;
+mod samples;
+mod volume_file;
+mod vti;
+mod vtk_data;
+mod xml;
+
+use std::path::{Path, PathBuf};
+
+use chronoxel_core::SampleType;
+
+use self::file_series::FileSeries;
+use self::format::Format;
+use self::natural_order::natural_order;
+use self::volume_file::VolumeFile;
+use crate::{SourceError, TimeSeries};
+
+/// What a caller may say about a source beyond what its files do.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SourceOptions {
+    /// Samples along x, y, z of raw files.
+    pub dims: Option<[usize; 3]>,
+    /// Type of the samples of raw files.
+    pub sample_type: Option<SampleType>,
+    /// Whether raw files have the most significant byte first.
+    pub big_endian: bool,
+    /// Bytes before the samples of raw files.
+    pub header_bytes: u64,
+    /// Distance between samples, in place of the files' own.
+    pub spacing: Option<[f64; 3]>,
+    /// Position of the first sample, in place of the files' own.
+    pub origin: Option<[f64; 3]>,
+    /// Time between steps; the files' own times are then not used.
+    pub dt: Option<f64>,
+    /// The variables wanted, in this order; empty for all.
+    pub variables: Vec<String>,
+    /// The value that means "no data", in place of the files' own.
+    pub fill_value: Option<f64>,
+}
+
+impl SourceOptions {
+    /// Refuses the options that describe raw files, for a file that describes itself.
+    fn check_describes_itself(&self, path: &Path, format: &str) -> Result<(), SourceError> {
+        let given = [
+            (self.dims.is_some(), "--dims"),
+            (self.sample_type.is_some(), "--dtype"),
+            (self.big_endian, "--big-endian"),
+            (self.header_bytes > 0, "--header-bytes"),
+        ];
+        match given.iter().find(|(is_given, _)| *is_given) {
+            Some((_, option)) => {
+                let remedy =
+                    format!("{} is {format} and says this itself; leave the option out", path.display());
+                Err(SourceError::argument(option, "is given", remedy))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Opens a source: files in the order given, or those that globs match in natural order.
+///
+/// Each file may hold one step or several; all must have the same grid and variables. Times are the files' own
+/// where all have them, else the step's number times `dt`.
+///
+/// * `inputs`: paths and globs
+///
+/// # Errors
+/// [`SourceError`] naming the file, the field and the value if one cannot be opened or they do not agree.
+pub fn open(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn TimeSeries>, SourceError> {
+    let mut files = Vec::new();
+    for path in expand(inputs)? {
+        files.extend(open_files(&path, options)?);
+    }
+    Ok(Box::new(FileSeries::new(files, options)?))
+}
+
+/// Opens one path: a collection gives several files.
+fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<Box<dyn VolumeFile>>, SourceError> {
+    match Format::of(path, options)? {
+        Format::Pvd => pvd::open(path, options),
+        other => Ok(vec![open_file(path, other, options)?]),
+    }
+}
+
+/// Opens one file of a format that holds samples.
+fn open_file(
+    path: &Path,
+    format: Format,
+    options: &SourceOptions,
+) -> Result<Box<dyn VolumeFile>, SourceError> {
+    if format != Format::Raw {
+        options.check_describes_itself(path, format.name())?;
+    }
+    match format {
+        Format::Raw => raw::open(path, options),
+        Format::Npy => npy::open(path),
+        Format::Nrrd => nrrd::open(path),
+        Format::Vti => vti::open(path),
+        Format::Zarr => Err(SourceError::unsupported(path, "format", "Zarr", "soon")),
+        Format::Pvd => {
+            let remedy = "a collection cannot hold collections; name the volumes themselves";
+            Err(SourceError::unsupported(path, "format", format.name(), remedy))
+        }
+    }
+}
+
+/// The paths that the inputs name.
+fn expand(inputs: &[String]) -> Result<Vec<PathBuf>, SourceError> {
+    let mut paths = Vec::new();
+    for input in inputs {
+        let path = Path::new(input);
+        if input.contains(['*', '?', '[']) && std::fs::symlink_metadata(path).is_err() {
+            paths.extend(matches(input)?);
+        } else {
+            paths.push(path.to_owned());
+        }
+    }
+    if paths.is_empty() {
+        return Err(SourceError::argument("SOURCE", "is missing", "name at least one file"));
+    }
+    Ok(paths)
+}
+
+/// The paths that a glob matches, in natural order.
+fn matches(pattern: &str) -> Result<Vec<PathBuf>, SourceError> {
+    let found = glob::glob(pattern)
+        .map_err(|e| SourceError::argument("SOURCE", pattern, format!("the glob is wrong: {}", e.msg)))?;
+    let mut paths = Vec::new();
+    for path in found {
+        paths.push(path.map_err(|e| SourceError::io(&e.path().to_owned(), "list", e.into()))?);
+    }
+    if paths.is_empty() {
+        return Err(SourceError::argument(
+            "SOURCE",
+            pattern,
+            "no file matches; check the folder and the name",
+        ));
+    }
+    paths.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(paths)
+}
