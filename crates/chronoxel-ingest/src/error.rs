@@ -127,7 +127,7 @@ pub enum EncodeError {
         /// The brick, along x, y, z.
         brick: [usize; 3],
         /// Why.
-        source: CodecError,
+        source: Box<CodecError>,
     },
     /// A variable of which no sample has a value.
     #[error(
