@@ -1,1 +1,18 @@
-//! See ARCHITECTURE.md.
+//! Payload codecs: stages of indices and tables, their bytes, their decoding, and the quantiser.
+//!
+//! A decoded sample is the sum over the stages of `table[row(step)][index]`, whatever made the tables
+//! and the indices. Encoders may be as clever as they like; there is one decode rule.
+
+pub mod bytes;
+pub mod class;
+pub mod decode;
+pub mod error;
+pub mod payload;
+pub mod quantize;
+
+pub use bytes::{stage_from_bytes, stage_to_bytes};
+pub use class::{PayloadClass, StageClass, TableClass};
+pub use decode::{decode_f64, decode_resident, decoded_range};
+pub use error::CodecError;
+pub use payload::{Indices, Payload, Stage, Table};
+pub use quantize::{SampleValue, quantize_affine};

@@ -2,19 +2,38 @@
 //! resident brick is. Everything here is pure: no files, no threads, no GPU.
 
 pub mod brick;
+pub mod camera;
+pub mod color;
+pub mod colormap;
+pub mod compare;
+pub mod compositing;
 pub mod dtype;
 pub mod error;
 pub mod grid;
+pub mod image;
+pub mod image8;
+pub mod lighting;
 pub mod octree;
 pub mod samples;
 pub mod span;
 pub mod time;
+pub mod transfer;
+mod transfer_json;
+pub mod visibility;
 
 pub use brick::{BitMask, BrickLayout, ResidentBrick};
+pub use camera::{Camera, Projection, Ray};
+pub use colormap::ColorMap;
+pub use compare::{ImageDifference, compare, difference_picture};
 pub use dtype::SampleType;
 pub use error::CoreError;
 pub use grid::UniformGrid;
+pub use image::{Background, Image};
+pub use image8::Image8;
+pub use lighting::Lighting;
 pub use octree::{LevelGeometry, NodeId, Octree};
 pub use samples::Samples;
 pub use span::{PayloadAddress, SpanKind, SpanRecord, SpanStatistics};
 pub use time::TimeAxis;
+pub use transfer::{ResolvedTransfer, TransferDomain, TransferFunction, TransferPoint};
+pub use visibility::view_order;

@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use chronoxel_codec::CodecError;
+use chronoxel_core::CoreError;
+use chronoxel_store::StoreError;
 use thiserror::Error;
 
 /// A source that cannot be read.
@@ -51,6 +54,112 @@ pub enum SourceError {
         value: String,
         /// What would be right.
         remedy: String,
+    },
+}
+
+/// A series that cannot be encoded.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The source cannot be read.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The store cannot be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A grid or brick layout that cannot be used.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The caller asked for something that cannot be done.
+    #[error("{argument} {value}: {remedy}")]
+    InvalidArgument {
+        /// The argument, in the user's words.
+        argument: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        remedy: String,
+    },
+    /// The output is already there.
+    #[error("{}: already exists: use --overwrite to replace it{}", path.display(), if *is_unfinished { ", or --resume to continue it" } else { "" })]
+    OutputExists {
+        /// The output.
+        path: PathBuf,
+        /// Whether it is a store that a resume could continue.
+        is_unfinished: bool,
+    },
+    /// The working set does not fit.
+    #[error("--memory {given} bytes: this grid needs at least {needed} bytes ({} MiB): raise it, or use smaller bricks", needed.div_ceil(1 << 20))]
+    Memory {
+        /// Bytes allowed.
+        given: u64,
+        /// Bytes needed at least.
+        needed: u64,
+    },
+    /// 16 bits cannot hold the error bound.
+    #[error(
+        "--max-error {max_error}: variable {variable}, step {step}, brick ({}, {}, {}): 16 bits leave an error of {error:e} and {bound:e} is allowed: raise it, or give a wider --range",
+        brick[0], brick[1], brick[2]
+    )]
+    Bound {
+        /// The variable.
+        variable: String,
+        /// The step.
+        step: usize,
+        /// The brick of level 0, along x, y, z.
+        brick: [usize; 3],
+        /// The bound, relative to the range.
+        max_error: f64,
+        /// The error found, in the variable's units.
+        error: f64,
+        /// The bound, in the variable's units.
+        bound: f64,
+    },
+    /// A brick that no payload can hold.
+    #[error("variable {variable}, step {step}, level {level}, brick ({}, {}, {}): {source}", brick[0], brick[1], brick[2])]
+    Brick {
+        /// The variable.
+        variable: String,
+        /// The step.
+        step: usize,
+        /// The level.
+        level: u8,
+        /// The brick, along x, y, z.
+        brick: [usize; 3],
+        /// Why.
+        source: CodecError,
+    },
+    /// A variable of which no sample has a value.
+    #[error(
+        "variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value"
+    )]
+    NoData {
+        /// The variable.
+        variable: String,
+        /// Steps of the series.
+        num_steps: usize,
+    },
+    /// The store to resume was made otherwise.
+    #[error("{}: cannot resume: {field} was {was} and is {is}: give the same source and options, or --overwrite", path.display())]
+    ResumeDiffers {
+        /// The store.
+        path: PathBuf,
+        /// What differs.
+        field: String,
+        /// In the store.
+        was: String,
+        /// Now.
+        is: String,
+    },
+    /// Encoding ended early; what was finished is kept.
+    #[error("{source}; {num_steps} finished steps are kept in {}: encode again with --resume to continue", path.display())]
+    Interrupted {
+        /// Where they are kept.
+        path: PathBuf,
+        /// How many.
+        num_steps: usize,
+        /// What happened.
+        source: Box<EncodeError>,
     },
 }
 

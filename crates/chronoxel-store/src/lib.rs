@@ -1,1 +1,31 @@
-//! See ARCHITECTURE.md.
+//! The Chronoxel store: a Zarr v3 group of compressed bricks, written so that a crash at any moment
+//! leaves a store that opens, read as if every byte were hostile. The format is `docs/format.md`.
+//!
+//! Writing: `StoreWriter::create` (or `resume`), then for each step
+//! `put` for each variable and level and `commit_step`, at last
+//! `finish`. Reading: `Store::open`, `Store::spans` for the covers of all nodes of a
+//! level at a step, `Store::read_payload`. `verify` checks every byte and every invariant.
+
+mod arrays;
+mod cache;
+pub mod chunk;
+mod commit;
+pub mod digest;
+pub mod error;
+mod files;
+pub mod header;
+mod journal;
+pub mod layout;
+mod put;
+mod resume;
+mod shard;
+pub mod span_write;
+pub mod spans;
+pub mod store;
+pub mod writer;
+
+pub use error::StoreError;
+pub use header::{Header, LevelEntry, StoreDescription, Totals, VariableDescription, VariableEntry};
+pub use span_write::{SpanContent, SpanWrite};
+pub use store::Store;
+pub use writer::StoreWriter;

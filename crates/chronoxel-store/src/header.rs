@@ -1,0 +1,421 @@
+//! The header: everything a reader must know before it reads an array, in the group's `zarr.json`.
+
+use std::path::Path;
+
+use chronoxel_codec::PayloadClass;
+use chronoxel_core::{
+    BrickLayout, LevelGeometry, Octree, SampleType, TimeAxis, UniformGrid, octree::levels_of,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::{StoreError, layout};
+
+/// The version of the format that is written, and the only one that is read.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// Most bytes of a header: about ten million time steps.
+pub(crate) const MAX_BYTES: u64 = 1 << 28;
+const MAX_VARIABLES: usize = 1024;
+const MAX_WINDOWS: usize = 16;
+const MAX_CLASSES: usize = 64;
+
+/// A variable to be written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VariableDescription {
+    /// Its name, unique in the store.
+    pub name: String,
+    /// Units; empty where the source does not say.
+    pub units: String,
+    /// Type of the source's samples.
+    pub sample_type: SampleType,
+    /// The source's "no data" value.
+    pub fill_value: Option<f64>,
+    /// Window lengths that spans may have, increasing, each 1 to 1,024.
+    pub windows: Vec<u32>,
+    /// Classes that payloads may have; `SpanKind::Coded` holds an index into them.
+    pub classes: Vec<PayloadClass>,
+}
+
+/// A store to be written: everything that is known before the first step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoreDescription {
+    /// The grid.
+    pub grid: UniformGrid,
+    /// Times of all steps.
+    pub times: TimeAxis,
+    /// The shape of bricks.
+    pub layout: BrickLayout,
+    /// The nodes that exist; as many levels as [`levels_of`] gives.
+    pub tree: Octree,
+    /// The variables, at least one.
+    pub variables: Vec<VariableDescription>,
+    /// Options of the encoder and the name of the source: kept as they are, and compared by a resume.
+    pub encoder: Value,
+}
+
+/// The header of a store.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Header {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// The grid.
+    pub grid: UniformGrid,
+    /// Times of all steps, and their units.
+    pub times: TimeAxis,
+    /// The shape of bricks.
+    pub bricks: BrickLayout,
+    /// Whether payloads hold the apron; always so in version 1.
+    pub apron_stored: bool,
+    /// The levels of the tree, finest first.
+    pub levels: Vec<LevelEntry>,
+    /// The variables.
+    pub variables: Vec<VariableEntry>,
+    /// G: steps that a shard covers (a shard of window `w` has `max(1, G / w)` rows).
+    pub steps_per_shard: u32,
+    /// Level of zstd for payloads, masks and spans.
+    pub zstd_level: i32,
+    /// Steps `0 .. num_steps_finished` can be read.
+    pub num_steps_finished: u32,
+    /// What is stored.
+    pub totals: Totals,
+    /// Options of the encoder and the name of the source.
+    pub encoder: Value,
+}
+
+/// One level of the tree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LevelEntry {
+    /// Samples inside the grid along x, y, z.
+    pub dims: [usize; 3],
+    /// Nodes that exist.
+    pub num_nodes: usize,
+}
+
+/// One variable of a store.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VariableEntry {
+    /// Its name.
+    pub name: String,
+    /// Its folder in the store.
+    pub folder: String,
+    /// Units; empty where unknown.
+    pub units: String,
+    /// Type of the source's samples.
+    pub sample_type: SampleType,
+    /// The source's "no data" value.
+    #[serde(with = "json_number")]
+    pub fill_value: Option<f64>,
+    /// Smallest source sample of the committed steps, `None` before the first.
+    pub min: Option<f64>,
+    /// Largest source sample of the committed steps.
+    pub max: Option<f64>,
+    /// Window lengths, increasing.
+    pub windows: Vec<u32>,
+    /// Payload classes.
+    pub classes: Vec<PayloadClass>,
+}
+
+/// What a store holds, counted over all variables, levels and nodes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Totals {
+    /// Spans without data.
+    pub empty: u64,
+    /// Spans of one value.
+    pub constant: u64,
+    /// Spans whose payload is stored at their own place.
+    pub coded: u64,
+    /// Spans whose payload is that of an earlier span.
+    pub shared: u64,
+    /// Spans with a mask.
+    pub masked: u64,
+    /// Masks that are stored, the others being shared.
+    pub masks: u64,
+    /// Bytes of stored payloads before zstd, without the apron's indices.
+    pub core_bytes: u64,
+    /// Bytes of the apron's indices in stored payloads before zstd.
+    pub apron_bytes: u64,
+    /// Bytes of stored payloads after zstd, checksums included.
+    pub payload_bytes: u64,
+    /// Bytes of stored masks after zstd, checksums included.
+    pub mask_bytes: u64,
+    /// Bytes of all shards and of all chunks of spans: the store less its metadata and nodes.
+    pub data_bytes: u64,
+}
+
+impl Header {
+    /// Number of steps of the series.
+    pub fn num_steps(&self) -> u32 {
+        self.times.num_steps() as u32
+    }
+
+    /// Bytes of the source's samples, over all variables and steps.
+    pub fn raw_bytes(&self) -> u64 {
+        let step: u64 = self.variables.iter().map(|v| v.sample_type.num_bytes() as u64).sum();
+        (self.grid.num_samples() as u64).saturating_mul(step).saturating_mul(u64::from(self.num_steps()))
+    }
+
+    /// The index of a variable by name.
+    pub fn variable(&self, name: &str) -> Option<usize> {
+        self.variables.iter().position(|v| v.name == name)
+    }
+
+    /// Sizes of the levels.
+    pub fn geometry(&self) -> Vec<LevelGeometry> {
+        levels_of(&self.grid, &self.bricks)
+    }
+
+    /// The header of a store of which nothing is written yet.
+    pub(crate) fn of_description(
+        description: &StoreDescription,
+        zstd_level: i32,
+    ) -> Result<Self, StoreError> {
+        let StoreDescription { grid, times, layout, tree, variables, encoder } = description;
+        let geometry = levels_of(grid, layout);
+        if tree.num_levels() != geometry.len() {
+            let remedy = format!("the grid has {} levels of bricks", geometry.len());
+            return Err(StoreError::invalid("number of octree levels", tree.num_levels(), remedy));
+        }
+        let levels = geometry
+            .iter()
+            .map(|g| LevelEntry { dims: g.dims, num_nodes: tree.nodes(g.level).len() })
+            .collect();
+        let mut entries: Vec<VariableEntry> = Vec::new();
+        for (index, variable) in variables.iter().enumerate() {
+            let earlier = entries.iter().map(|v| v.folder.as_str());
+            entries.push(VariableEntry {
+                folder: layout::variable_folder(index, &variable.name, earlier),
+                name: variable.name.clone(),
+                units: variable.units.clone(),
+                sample_type: variable.sample_type,
+                fill_value: variable.fill_value,
+                min: None,
+                max: None,
+                windows: variable.windows.clone(),
+                classes: variable.classes.clone(),
+            });
+        }
+        let header = Self {
+            version: FORMAT_VERSION,
+            grid: *grid,
+            times: times.clone(),
+            bricks: *layout,
+            apron_stored: true,
+            levels,
+            variables: entries,
+            steps_per_shard: layout::steps_per_shard(grid, layout),
+            zstd_level,
+            num_steps_finished: 0,
+            totals: Totals::default(),
+            encoder: encoder.clone(),
+        };
+        match header.problem() {
+            None => Ok(header),
+            Some((field, value, remedy)) => Err(StoreError::invalid(field, value, remedy)),
+        }
+    }
+
+    /// What is wrong with a header, if anything is: field, value, what would be right.
+    fn problem(&self) -> Option<(&'static str, String, String)> {
+        let problem =
+            |field, value: &dyn ToString, remedy: &str| Some((field, value.to_string(), remedy.to_owned()));
+        if let Err(error) = UniformGrid::new(self.grid.dims, self.grid.origin, self.grid.spacing) {
+            return problem("grid", &error, "the grid must be sound");
+        }
+        if let Err(error) = TimeAxis::new(self.times.times.clone(), "") {
+            return problem("times", &error, "the time axis must be sound");
+        }
+        if self.times.num_steps() > u32::MAX as usize {
+            return problem("number of steps", &self.times.num_steps(), "at most 2^32 - 1");
+        }
+        if BrickLayout::new(self.bricks.edge).as_ref() != Ok(&self.bricks) {
+            return problem("bricks", &self.bricks.edge, "edge 8, 16, 32, 64 or 128, apron 1 and 2");
+        }
+        if !self.apron_stored {
+            return problem("apron_stored", &false, "version 1 stores the apron");
+        }
+        let geometry = self.geometry();
+        if geometry.iter().any(|g| g.bricks.iter().any(|&n| n > 1 << 21)) {
+            return problem(
+                "bricks along an axis",
+                &geometry[0].bricks[0],
+                "at most 2^21: use larger bricks",
+            );
+        }
+        let fits = |(g, l): (&LevelGeometry, &LevelEntry)| {
+            let most = g.bricks.iter().map(|&n| n as u128).product::<u128>();
+            l.dims == g.dims && l.num_nodes >= 1 && l.num_nodes as u128 <= most && l.num_nodes <= 1 << 31
+        };
+        if self.levels.len() != geometry.len() || !geometry.iter().zip(&self.levels).all(fits) {
+            return problem("levels", &self.levels.len(), "they must be those of the grid");
+        }
+        if self.steps_per_shard != layout::steps_per_shard(&self.grid, &self.bricks) {
+            return problem("steps_per_shard", &self.steps_per_shard, "it follows from grid and bricks");
+        }
+        if self.num_steps_finished > self.num_steps() {
+            return problem("num_steps_finished", &self.num_steps_finished, "more than there are steps");
+        }
+        if !(-7..=22).contains(&self.zstd_level) {
+            return problem("zstd_level", &self.zstd_level, "use -7 to 22");
+        }
+        if self.variables.is_empty() || self.variables.len() > MAX_VARIABLES {
+            return problem("number of variables", &self.variables.len(), "use 1 to 1024");
+        }
+        (0..self.variables.len()).find_map(|index| self.variable_problem(index))
+    }
+
+    fn variable_problem(&self, index: usize) -> Option<(&'static str, String, String)> {
+        let (earlier, variable) = (&self.variables[..index], &self.variables[index]);
+        let problem = |field, value: &dyn ToString, remedy: &str| {
+            Some((field, value.to_string(), format!("{remedy} (variable {:?})", variable.name)))
+        };
+        if variable.name.is_empty() || earlier.iter().any(|v| v.name == variable.name) {
+            return problem("variable name", &variable.name, "names must differ and not be empty");
+        }
+        let folder =
+            layout::variable_folder(index, &variable.name, earlier.iter().map(|v| v.folder.as_str()));
+        if folder != variable.folder {
+            return problem("folder", &variable.folder, "it follows from the name");
+        }
+        if !layout::fill_value_is_sound(variable.sample_type, variable.fill_value) {
+            return problem("fill_value", &"NaN", "integers have none");
+        }
+        let windows = &variable.windows;
+        let sound = |&w: &u32| (1..=layout::MAX_WINDOW).contains(&w);
+        if windows.is_empty()
+            || windows.len() > MAX_WINDOWS
+            || !windows.iter().all(sound)
+            || !windows.is_sorted_by(|a, b| a < b)
+        {
+            return problem("windows", &format!("{windows:?}"), "1 to 16 increasing lengths of 1 to 1024");
+        }
+        if variable.classes.is_empty() || variable.classes.len() > MAX_CLASSES {
+            return problem("number of classes", &variable.classes.len(), "use 1 to 64");
+        }
+        for class in &variable.classes {
+            if let Err(error) = class.validate() {
+                return problem("class", &error, "see the format");
+            }
+            if !windows.iter().any(|&w| class.fits_window(w)) {
+                return problem("class", &format!("{class:?}"), "its rows fit no window");
+            }
+        }
+        let bounds = [variable.min, variable.max];
+        if bounds.iter().flatten().any(|b| !b.is_finite()) || variable.min > variable.max {
+            return problem("min and max", &format!("{bounds:?}"), "they must be finite and in order");
+        }
+        None
+    }
+
+    /// The text of the group's `zarr.json`. Its last field is the CRC-32C of the text itself with
+    /// that field's digits as zeros.
+    pub(crate) fn to_text(&self) -> Result<String, StoreError> {
+        let failed = |e: serde_json::Error| StoreError::invalid("header", e, "it must be plain JSON");
+        let mut chronoxel = serde_json::to_value(self).map_err(failed)?;
+        chronoxel[CRC_FIELD] = json!(CRC_BLANK);
+        let document = json!({
+            "zarr_format": 3,
+            "node_type": "group",
+            "attributes": { "chronoxel": chronoxel },
+        });
+        let mut text = serde_json::to_string_pretty(&document).map_err(failed)?;
+        text.push('\n');
+        let at =
+            crc_position(&text).ok_or_else(|| StoreError::invalid("header", "", "it has no checksum"))?;
+        let crc = format!("{:08x}", crc32c::crc32c(text.as_bytes()));
+        text.replace_range(at..at + CRC_BLANK.len(), &crc);
+        Ok(text)
+    }
+
+    /// The header from the text of `zarr.json`, checked in itself.
+    pub(crate) fn from_text(path: &Path, text: &str) -> Result<Self, StoreError> {
+        let corrupt =
+            |field: &str, value: String, problem: &str| StoreError::corrupt(path, field, value, problem);
+        let document: Value = serde_json::from_str(text)
+            .map_err(|e| corrupt("JSON", e.to_string(), "this is not the header of a Zarr group"))?;
+        let Some(fields) = document.pointer("/attributes/chronoxel") else {
+            return Err(corrupt("attributes.chronoxel", "absent".into(), "this is not a Chronoxel store"));
+        };
+        let version = fields.get("version").and_then(Value::as_u64);
+        if version != Some(u64::from(FORMAT_VERSION)) {
+            return Err(StoreError::Unsupported {
+                path: path.to_owned(),
+                field: "version",
+                value: version.map_or("absent".into(), |v| v.to_string()),
+                remedy: "this program reads version 1",
+            });
+        }
+        check_crc(path, text)?;
+        let mut fields = fields.clone();
+        fields.as_object_mut().map(|object| object.remove(CRC_FIELD));
+        let header: Self = serde_json::from_value(fields)
+            .map_err(|e| corrupt("attributes.chronoxel", e.to_string(), "see the format"))?;
+        match header.problem() {
+            None => Ok(header),
+            Some((field, value, problem)) => Err(StoreError::corrupt(path, field, value, problem)),
+        }
+    }
+}
+
+const CRC_FIELD: &str = "z_crc32c";
+const CRC_BLANK: &str = "00000000";
+
+fn crc_position(text: &str) -> Option<usize> {
+    let key = format!("\"{CRC_FIELD}\": \"");
+    let at = text.rfind(&key)? + key.len();
+    let digits = text.get(at..at + CRC_BLANK.len())?;
+    digits.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f')).then_some(at)
+}
+
+fn check_crc(path: &Path, text: &str) -> Result<(), StoreError> {
+    let Some(at) = crc_position(text) else {
+        return Err(StoreError::corrupt(path, CRC_FIELD, "absent", "the header has no checksum"));
+    };
+    let stored = &text[at..at + CRC_BLANK.len()];
+    let blank = [&text[..at], CRC_BLANK, &text[at + CRC_BLANK.len()..]].concat();
+    let computed = format!("{:08x}", crc32c::crc32c(blank.as_bytes()));
+    if stored != computed {
+        let problem = format!("the checksum of the header is {computed}: the file is damaged");
+        return Err(StoreError::corrupt(path, CRC_FIELD, stored, problem));
+    }
+    Ok(())
+}
+
+/// JSON has no NaN and no infinities: they are written as Zarr writes them, as strings.
+mod json_number {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(untagged)]
+    enum Number {
+        Finite(f64),
+        Named(String),
+    }
+
+    pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        let number = value.map(|v| match v {
+            v if v.is_nan() => Number::Named("NaN".into()),
+            f64::INFINITY => Number::Named("Infinity".into()),
+            f64::NEG_INFINITY => Number::Named("-Infinity".into()),
+            v => Number::Finite(v),
+        });
+        number.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+        match Option::<Number>::deserialize(deserializer)? {
+            None => Ok(None),
+            Some(Number::Finite(v)) => Ok(Some(v)),
+            Some(Number::Named(name)) => match name.as_str() {
+                "NaN" => Ok(Some(f64::NAN)),
+                "Infinity" => Ok(Some(f64::INFINITY)),
+                "-Infinity" => Ok(Some(f64::NEG_INFINITY)),
+                _ => Err(D::Error::custom(format!("{name:?} is not a number"))),
+            },
+        }
+    }
+}
