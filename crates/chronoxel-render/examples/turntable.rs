@@ -26,8 +26,13 @@ fn main() {
         }
         _ => panic!("usage: turntable SERIES.npy LOW HIGH [FOLDER], or turntable ripples EDGE"),
     };
+    let only = std::env::var("TURNTABLE_ONLY").ok();
     for lit in [false, true] {
         for function in ["sparse", "filled"] {
+            let name = if lit { format!("{function}-lit") } else { function.to_owned() };
+            if only.as_ref().is_some_and(|only| *only != name) {
+                continue;
+            }
             measure(&field, function, domain, lit, folder);
         }
     }

@@ -18,7 +18,7 @@ use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
 use kernel::{BrickJob, LevelBox, LightJob, March};
 use table::Table;
-use tile::{Tile, Work};
+use tile::{RaySetup, Tile, Work};
 
 /// How the ray caster goes about it; the picture is the same for every choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,12 +69,13 @@ pub fn render_with(
         jobs.extend(job);
     }
     let edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+    let setup = RaySetup::new(scene);
     let tiles = bin(&jobs, scene.size, edge);
     let drawn: Vec<Tile> = tiles
         .into_par_iter()
         .with_max_len(1)
         .map(|(corner, list)| {
-            let mut tile = Tile::new(scene, corner, edge);
+            let mut tile = Tile::new(&setup, corner, edge);
             list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
             tile
         })
