@@ -130,7 +130,9 @@ pub enum EncodeError {
         source: CodecError,
     },
     /// A variable of which no sample has a value.
-    #[error("variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value")]
+    #[error(
+        "variable {variable}: every sample of all {num_steps} steps is NaN, infinite or the fill value: leave it out, or check the fill value"
+    )]
     NoData {
         /// The variable.
         variable: String,

@@ -2,6 +2,7 @@
 
 pub mod encode;
 pub mod error;
+pub mod export;
 pub mod series;
 pub mod sim;
 pub mod sources;

@@ -1,6 +1,8 @@
 //! The choice of a payload for one brick: empty, constant, or coded with 8 or 16 bits.
 
-use chronoxel_codec::{CodecError, Indices, Payload, SampleValue, Stage, Table, decoded_range, quantize_affine};
+use chronoxel_codec::{
+    CodecError, Indices, Payload, SampleValue, Stage, Table, decoded_range, quantize_affine,
+};
 use chronoxel_core::{BitMask, BrickLayout};
 
 use super::analyse::{Analysis, range_of};
@@ -73,7 +75,9 @@ pub fn code<T: Real + SampleValue>(
     let mask = (analysis.num_masked > 0).then(|| BitMask::from_flags(samples.iter().map(|v| v.is_masked())));
     let middle = 0.5 * low + 0.5 * high;
     let constant = match demand.bound {
-        _ if analysis.is_constant => Some(samples.iter().find(|v| !v.is_masked()).map_or(low, |v| v.to_f64())),
+        _ if analysis.is_constant => {
+            Some(samples.iter().find(|v| !v.is_masked()).map_or(low, |v| v.to_f64()))
+        }
         Some(bound) if middle - low <= bound && high - middle <= bound => Some(middle),
         _ => None,
     };

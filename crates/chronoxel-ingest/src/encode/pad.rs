@@ -12,9 +12,10 @@ use super::real::Real;
 pub fn pad<T: Real>(samples: &mut [T], edge: usize, whole_numbers: bool) {
     let (sum, count) = mean_of(samples.iter().copied());
     assert!(count > 0, "a brick without data is not coded");
-    let (low, high) = samples.iter().filter(|v| !v.is_masked()).fold((T::LARGEST, T::LARGEST.negated()), |r, &v| {
-        (if v < r.0 { v } else { r.0 }, if v > r.1 { v } else { r.1 })
-    });
+    let (low, high) =
+        samples.iter().filter(|v| !v.is_masked()).fold((T::LARGEST, T::LARGEST.negated()), |r, &v| {
+            (if v < r.0 { v } else { r.0 }, if v > r.1 { v } else { r.1 })
+        });
     let within = |value: f64| {
         let value = if whole_numbers { value.round_ties_even() } else { value };
         T::from_f64(value.clamp(low.to_f64(), high.to_f64()))

@@ -20,10 +20,13 @@ pub fn advance<T: Real>(below: &Window<T>, above: &mut Window<T>) {
     let width = above.geometry.field_dims[0];
     let mut samples = vec![T::MASKED; len * (end - first)];
     // Rows are the unit of work, so that two slices already occupy all threads.
-    samples.par_chunks_mut(width).with_min_len(8).enumerate().for_each_init(Scratch::default, |scratch, (r, row)| {
-        let (z, y) = (first + r / (len / width), r % (len / width));
-        filter_row(below, z, y, row, scratch);
-    });
+    samples.par_chunks_mut(width).with_min_len(8).enumerate().for_each_init(
+        Scratch::default,
+        |scratch, (r, row)| {
+            let (z, y) = (first + r / (len / width), r % (len / width));
+            filter_row(below, z, y, row, scratch);
+        },
+    );
     let masked = samples
         .chunks(len)
         .enumerate()
@@ -134,7 +137,11 @@ mod tests {
     use chronoxel_core::{BrickLayout, UniformGrid, octree::levels_of};
 
     /// Filters `source` up one level, in slabs of `slab` slices.
-    fn filtered(dims: [usize; 3], source: &dyn Fn([usize; 3]) -> f32, slab: usize) -> (Window<f32>, [usize; 3]) {
+    fn filtered(
+        dims: [usize; 3],
+        source: &dyn Fn([usize; 3]) -> f32,
+        slab: usize,
+    ) -> (Window<f32>, [usize; 3]) {
         let grid = UniformGrid::new(dims, [0.0; 3], [1.0; 3]).unwrap();
         let mut layout = BrickLayout::new(8).unwrap();
         layout.edge = 1; // so that there is a level above, however small the grid

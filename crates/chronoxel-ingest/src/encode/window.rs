@@ -66,7 +66,8 @@ impl<T: Real> Window<T> {
 
     /// Whether every slice that the next layer of bricks reaches, apron included, has come.
     pub fn layer_is_complete(&self, layout: &BrickLayout) -> bool {
-        self.next_layer < self.geometry.bricks[2] && self.num_slices >= self.slices_for(layout, self.next_layer)
+        self.next_layer < self.geometry.bricks[2]
+            && self.num_slices >= self.slices_for(layout, self.next_layer)
     }
 
     /// Slices that must have come before layer `layer` can be cut.
