@@ -1,6 +1,6 @@
 //! Pictures of 8 bits per channel: what files hold, what is compared, what annotations are drawn on.
 
-use crate::CoreError;
+use crate::{Background, CoreError, Image};
 
 /// A picture of 8-bit sRGB with straight alpha, its first row at the top.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,6 +31,49 @@ impl Image8 {
         }
         let pixels = bytes.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect();
         Ok(Self { width, height, pixels })
+    }
+
+    /// A rendered picture before a background.
+    pub fn from_image(image: &Image, background: Background) -> Self {
+        let bytes = image.to_rgba8(background);
+        let pixels = bytes.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect();
+        Self { width: image.width, height: image.height, pixels }
+    }
+
+    /// A picture of nothing but a background.
+    pub fn of_background(width: usize, height: usize, background: Background) -> Self {
+        let pixel = match background {
+            Background::Color(color) => {
+                let [r, g, b] = color.map(|c| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
+                [r, g, b, 255]
+            }
+            Background::Transparent => [0; 4],
+        };
+        Self::filled(width, height, pixel)
+    }
+
+    /// Composites a rendered picture over this one, e.g. over the edges behind the volume.
+    ///
+    /// # Errors
+    /// [`CoreError::InvalidArgument`] if their sizes differ.
+    pub fn composite(&mut self, above: &Image) -> Result<(), CoreError> {
+        if (self.width, self.height) != (above.width, above.height) {
+            let value = format!("{}x{} over {}x{}", above.width, above.height, self.width, self.height);
+            return Err(CoreError::invalid("size of the pictures", value, "both must have one size"));
+        }
+        for (pixel, p) in self.pixels.iter_mut().zip(&above.pixels) {
+            let below = f32::from(pixel[3]) / 255.0 * (1.0 - p[3]);
+            let alpha = p[3] + below;
+            if alpha <= 0.0 {
+                continue;
+            }
+            for (channel, premultiplied) in pixel.iter_mut().zip(&p[..3]) {
+                let mixed = (premultiplied * 255.0 + f32::from(*channel) * below) / alpha;
+                *channel = (mixed.clamp(0.0, 255.0) + 0.5) as u8;
+            }
+            pixel[3] = (alpha.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        }
+        Ok(())
     }
 
     /// Composites a colour of some coverage in [0, 1] over a pixel; outside the picture nothing happens.
@@ -68,6 +111,18 @@ mod tests {
         image.blend(3, 0, [200, 100, 0], 1.0);
         image.blend(0, -1, [200, 100, 0], 1.0);
         assert_eq!(image.pixels, [[150, 50, 100, 255], [200, 100, 0, 128], [100, 0, 200, 255]]);
+    }
+
+    #[test]
+    fn compositing_over_a_background_is_rendering_before_it() {
+        let mut image = Image::new(3, 1).unwrap();
+        image.pixels = vec![[0.0; 4], [0.25, 0.0, 0.5, 0.5], [1.0, 0.2, 0.0, 1.0]];
+        for background in [Background::Color([1.0, 0.0, 0.2]), Background::Transparent] {
+            let mut composed = Image8::of_background(3, 1, background);
+            composed.composite(&image).unwrap();
+            assert_eq!(composed, Image8::from_image(&image, background));
+        }
+        assert!(Image8::filled(2, 1, [0; 4]).composite(&image).is_err());
     }
 
     #[test]

@@ -1,1 +1,16 @@
-//! See ARCHITECTURE.md.
+//! Renderers: from bricks, a transfer function and a camera to a picture.
+//!
+//! [`reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
+//! stores.
+
+pub mod cpu;
+pub mod error;
+pub mod prepared;
+pub mod reference;
+pub mod scene;
+
+pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
+pub use error::RenderError;
+pub use prepared::PreparedBrick;
+pub use reference::{DenseField, render_reference};
+pub use scene::{DrawBrick, DrawHow, RenderStats, Scene};

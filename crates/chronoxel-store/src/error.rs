@@ -32,7 +32,7 @@ pub enum StoreError {
     },
     /// The bytes of one brick are damaged.
     #[error(
-        "{}: {variable}, level {level}, brick ({}, {}, {}), row {row}: {problem}",
+        "{}: {variable}, level {level}, brick ({}, {}, {}), step {step}: {problem}",
         path.display(), brick[0], brick[1], brick[2]
     )]
     CorruptBrick {
@@ -44,9 +44,9 @@ pub enum StoreError {
         level: u8,
         /// The brick whose place in the arrays the bytes are stored at: x, y, z.
         brick: [u32; 3],
-        /// The row they are stored at: the first step of the span, for windows of one step.
-        row: u32,
-        /// What is wrong, and with which step.
+        /// The step asked for, or the first step of the span that uses the bytes.
+        step: u32,
+        /// What is wrong.
         problem: String,
     },
     /// The store is sound but of a kind that this version does not read.
@@ -88,6 +88,15 @@ impl StoreError {
         let mut value: String = value.to_string().chars().take(120).collect();
         value.retain(|c| !c.is_control());
         Self::Corrupt { path: path.to_owned(), field: field.into(), value, problem: problem.into() }
+    }
+
+    /// What went wrong, for a message that names the file itself.
+    pub(crate) fn without_path(&self) -> String {
+        match self {
+            Self::Io { action, source, .. } => format!("cannot {action}: {source}"),
+            Self::Corrupt { field, value, problem, .. } => format!("{field} is {value}: {problem}"),
+            other => other.to_string(),
+        }
     }
 
     pub(crate) fn invalid(argument: &'static str, value: impl ToString, remedy: impl Into<String>) -> Self {

@@ -14,6 +14,8 @@ use crate::{StoreError, layout};
 /// The version of the format that is written, and the only one that is read.
 pub const FORMAT_VERSION: u32 = 1;
 
+/// Most bytes of a header: about ten million time steps.
+pub(crate) const MAX_BYTES: u64 = 1 << 28;
 const MAX_VARIABLES: usize = 1024;
 const MAX_WINDOWS: usize = 16;
 const MAX_CLASSES: usize = 64;

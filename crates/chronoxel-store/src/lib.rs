@@ -6,11 +6,26 @@
 //! `finish`. Reading: `Store::open`, `Store::spans` for the covers of all nodes of a
 //! level at a step, `Store::read_payload`. `verify` checks every byte and every invariant.
 
+mod arrays;
+mod cache;
+pub mod chunk;
+mod commit;
+pub mod digest;
 pub mod error;
+mod files;
 pub mod header;
+mod journal;
 pub mod layout;
+mod put;
+mod resume;
+mod shard;
 pub mod span_write;
+pub mod spans;
+pub mod store;
+pub mod writer;
 
 pub use error::StoreError;
 pub use header::{Header, LevelEntry, StoreDescription, Totals, VariableDescription, VariableEntry};
 pub use span_write::{SpanContent, SpanWrite};
+pub use store::Store;
+pub use writer::StoreWriter;

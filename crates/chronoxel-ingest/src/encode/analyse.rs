@@ -122,6 +122,8 @@ fn statistics<T: Real>(core: &Core<'_, T>, masked: bool) -> SpanStatistics {
     let n = count as f64;
     let mean = ((pivot.to_f64() * unit + sum / n) / unit).clamp(min, max);
     let std = ((squares - sum * (sum / n)).max(0.0) / n).sqrt() / unit;
+    // No deviation exceeds half the range; rounding may, and beyond f64's range.
+    let std = std.min(0.5 * max - 0.5 * min);
     SpanStatistics { count, min, max, mean, std }
 }
 

@@ -32,7 +32,12 @@ pub fn portions(
 ) -> Result<Portions, EncodeError> {
     let widest = sample_types.map(|t| (held_bytes(t), t.num_bytes() as u64)).max().unwrap_or((4, 4));
     let needed = |slab: usize, batch: usize| {
-        slices_bytes(levels, layout, widest, slab).saturating_add(bricks_bytes(layout, widest.0, num_threads, batch))
+        slices_bytes(levels, layout, widest, slab).saturating_add(bricks_bytes(
+            layout,
+            widest.0,
+            num_threads,
+            batch,
+        ))
     };
     if needed(1, 1) > memory_bytes {
         return Err(EncodeError::Memory { given: memory_bytes, needed: needed(1, 1) });

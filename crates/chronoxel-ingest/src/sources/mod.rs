@@ -18,6 +18,7 @@ mod volume_file;
 mod vti;
 mod vtk_data;
 mod xml;
+mod zarr;
 
 use std::path::{Path, PathBuf};
 
@@ -111,7 +112,7 @@ fn open_file(
         Format::Npy => npy::open(path),
         Format::Nrrd => nrrd::open(path),
         Format::Vti => vti::open(path),
-        Format::Zarr => Err(SourceError::unsupported(path, "format", "Zarr", "soon")),
+        Format::Zarr => zarr::open(path, options),
         Format::Pvd => {
             let remedy = "a collection cannot hold collections; name the volumes themselves";
             Err(SourceError::unsupported(path, "format", format.name(), remedy))
@@ -142,7 +143,7 @@ fn matches(pattern: &str) -> Result<Vec<PathBuf>, SourceError> {
         .map_err(|e| SourceError::argument("SOURCE", pattern, format!("the glob is wrong: {}", e.msg)))?;
     let mut paths = Vec::new();
     for path in found {
-        paths.push(path.map_err(|e| SourceError::io(&e.path().to_owned(), "list", e.into()))?);
+        paths.push(path.map_err(|e| SourceError::io(&PathBuf::from(e.path()), "list", e.into()))?);
     }
     if paths.is_empty() {
         return Err(SourceError::argument(

@@ -7,3 +7,4 @@ mod nrrd;
 mod raw;
 mod series;
 mod vti;
+mod zarr;

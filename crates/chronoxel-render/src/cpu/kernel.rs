@@ -1,0 +1,452 @@
+//! The kernel: eight rays through one brick.
+
+use chronoxel_core::{BitMask, Lighting};
+
+use super::lanes::{F8, I8, Lanes, Plain};
+
+/// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
+pub(super) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
+
+/// Samples taken before the blocks ahead are looked at again.
+const RUN: f32 = 8.0;
+
+/// Eight rays, and what they have gathered so far.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Packet {
+    /// Where each enters the grid, level-0 voxels, per axis.
+    pub entry: [F8; 3],
+    /// From sample to sample, in voxels of the level sampled, per axis.
+    pub step: [F8; 3],
+    /// `1 / step`; huge where the step is 0.
+    pub inverse_step: [F8; 3],
+    /// Length inside the grid, counted in samples of level 0, and the same rounded.
+    pub length: F8,
+    pub num_samples: F8,
+    /// Premultiplied red, green and blue.
+    pub color: [F8; 3],
+    /// One minus alpha.
+    pub transmittance: F8,
+}
+
+/// The box of a draw list's entry, in voxels of its level.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LevelBox {
+    /// `2^-level`.
+    pub scale: f32,
+    /// Lower planes; minus infinity at the grid's faces.
+    pub low: [f32; 3],
+    /// Upper planes; infinity at the grid's faces.
+    pub high: [f32; 3],
+}
+
+/// What the kernel needs to know of a brick.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BrickJob<'a> {
+    pub region: LevelBox,
+    /// Samples, `full_edge` along each axis.
+    pub samples: &'a [i16],
+    pub full_edge: usize,
+    /// Samples of the apron before the core.
+    pub low_apron: usize,
+    /// Place of the first sample of the core, in voxels of the level.
+    pub origin: [f32; 3],
+    /// Factor and offset from an interpolated sample to the index of its table entry.
+    pub index_from_sample: [f32; 2],
+    pub table: &'a [[f32; 4]],
+    /// One flag per block, `[z, y, x]`: whether it can be seen. Absent where most can.
+    pub blocks: Option<&'a [u8]>,
+    pub blocks_along_edge: usize,
+    pub mask: Option<&'a BitMask>,
+    pub light: Option<LightJob<'a>>,
+}
+
+/// What the kernel needs to light a brick.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LightJob<'a> {
+    pub lighting: Lighting,
+    pub gradients: &'a [[i16; 4]],
+    /// From differences of samples to gradients in the world, up to a common factor.
+    pub world_from_difference: [f32; 3],
+    /// From `difference · step` to the gradient times the ray's unit vector, up to the same factor.
+    pub unit_from_step: f32,
+}
+
+/// Draws a brick into a packet and returns the number of samples taken.
+pub(super) type March = unsafe fn(&BrickJob, &mut Packet) -> u64;
+
+/// The instructions that the kernels use on this CPU.
+pub fn kernel_name() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        return "AVX2";
+    }
+    "plain Rust"
+}
+
+/// The kernel for a brick: the fastest that this CPU has, or the plain one.
+pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
+    let (lit, masked) = (job.light.is_some(), job.mask.is_some());
+    #[cfg(target_arch = "x86_64")]
+    if !plain && std::arch::is_x86_feature_detected!("avx2") {
+        return match (lit, masked) {
+            (false, false) => march_avx2::<false, false>,
+            (false, true) => march_avx2::<false, true>,
+            (true, false) => march_avx2::<true, false>,
+            (true, true) => march_avx2::<true, true>,
+        };
+    }
+    match (lit, masked) {
+        (false, false) => march::<Plain, false, false>,
+        (false, true) => march::<Plain, false, true>,
+        (true, false) => march::<Plain, true, false>,
+        (true, true) => march::<Plain, true, true>,
+    }
+}
+
+/// The indices of the samples that each ray of a packet takes in a box: the first, and the one after the last.
+pub(super) fn sample_interval(region: &LevelBox, packet: &Packet) -> [F8; 2] {
+    let (mut first, mut end) = (F8::default(), F8::default());
+    // SAFETY: the plain lanes need nothing of the CPU.
+    unsafe {
+        let [a, b] = interval::<Plain>(region, packet);
+        Plain::store(a, &mut first);
+        Plain::store(b, &mut end);
+    }
+    [first, end]
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn march_avx2<const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
+    // SAFETY: AVX2 was detected.
+    unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, packet) }
+}
+
+/// First index at or behind a plane, counted along each ray: a function of the ray and the plane alone, so that
+/// two boxes that share a plane share the index, and no sample is lost or taken twice.
+#[inline(always)]
+unsafe fn crossing<L: Lanes>(plane: f32, entry: L::F, inverse_step: L::F) -> L::F {
+    // SAFETY: as the caller guarantees for L.
+    unsafe { L::ceil(L::sub(L::mul(L::sub(L::splat(plane), entry), inverse_step), L::splat(0.5))) }
+}
+
+#[inline(always)]
+unsafe fn interval<L: Lanes>(region: &LevelBox, packet: &Packet) -> [L::F; 2] {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let mut first = L::splat(0.0);
+        let mut end = if region.scale == 1.0 {
+            L::load(&packet.num_samples)
+        } else {
+            L::floor(L::add(L::mul(L::load(&packet.length), L::splat(region.scale)), L::splat(0.5)))
+        };
+        for a in 0..3 {
+            let entry = L::mul(L::load(&packet.entry[a]), L::splat(region.scale));
+            let inverse_step = L::load(&packet.inverse_step[a]);
+            let low = crossing::<L>(region.low[a], entry, inverse_step);
+            let high = crossing::<L>(region.high[a], entry, inverse_step);
+            first = L::max(L::min(low, high), first);
+            end = L::min(L::max(low, high), end);
+        }
+        [first, end]
+    }
+}
+
+/// Rays in a brick's own coordinates: sample `k` lies at `entry + k · step - origin`, `k` counting half-integers.
+struct Rays<L: Lanes> {
+    entry: [L::F; 3],
+    step: [L::F; 3],
+    inverse_step: [L::F; 3],
+    origin: [L::F; 3],
+    /// Least and largest coordinates whose cells lie in core and apron.
+    least: L::F,
+    most: L::F,
+}
+
+impl<L: Lanes> Rays<L> {
+    #[inline(always)]
+    unsafe fn new(job: &BrickJob, packet: &Packet) -> Self {
+        // SAFETY: as the caller guarantees for L.
+        unsafe {
+            let scale = L::splat(job.region.scale);
+            let [e, s, i] = [&packet.entry, &packet.step, &packet.inverse_step];
+            Self {
+                entry: [
+                    L::mul(L::load(&e[0]), scale),
+                    L::mul(L::load(&e[1]), scale),
+                    L::mul(L::load(&e[2]), scale),
+                ],
+                step: [L::load(&s[0]), L::load(&s[1]), L::load(&s[2])],
+                inverse_step: [L::load(&i[0]), L::load(&i[1]), L::load(&i[2])],
+                origin: [L::splat(job.origin[0]), L::splat(job.origin[1]), L::splat(job.origin[2])],
+                least: L::splat(-(job.low_apron as f32)),
+                most: L::splat((job.full_edge - 1 - job.low_apron) as f32 - 1e-3),
+            }
+        }
+    }
+
+    /// Place of sample `k` along an axis, counted from the core's first sample and kept inside core and apron.
+    ///
+    /// The difference is exact, so that a place is the same point of the grid in whichever brick it is sampled.
+    #[inline(always)]
+    unsafe fn place(&self, axis: usize, k: L::F) -> L::F {
+        // SAFETY: as the caller guarantees for L.
+        unsafe {
+            let in_level = L::add(self.entry[axis], L::mul(k, self.step[axis]));
+            let in_brick = L::sub(in_level, self.origin[axis]);
+            L::min(L::max(in_brick, self.least), self.most)
+        }
+    }
+}
+
+/// Where eight samples lie among those of a brick.
+struct Cells<L: Lanes> {
+    offsets: I8,
+    weights_x: L::I,
+    wy: L::F,
+    wz: L::F,
+}
+
+/// Index of the sample at whole coordinates, which may be negative by as much as the apron is wide.
+#[inline(always)]
+unsafe fn sample_index<L: Lanes>([x, y, z]: [L::F; 3], job: &BrickJob) -> L::F {
+    let row = job.full_edge;
+    let first = job.low_apron * (1 + row + row * row);
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let row = L::splat(row as f32);
+        L::add(L::add(x, L::splat(first as f32)), L::mul(row, L::add(y, L::mul(row, z))))
+    }
+}
+
+#[inline(always)]
+unsafe fn cells_at<L: Lanes>(places: [L::F; 3], job: &BrickJob) -> Cells<L> {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let [x, y, z] = places;
+        let (fx, fy, fz) = (L::floor(x), L::floor(y), L::floor(z));
+        let index = sample_index::<L>([fx, fy, fz], job);
+        let mut offsets = I8::default();
+        L::store_int(L::to_int(index), &mut offsets);
+        Cells { offsets, weights_x: L::weights(L::sub(x, fx)), wy: L::sub(y, fy), wz: L::sub(z, fz) }
+    }
+}
+
+/// Trilinear interpolation, in units of `1 / WEIGHT_ONE` of a sample.
+#[inline(always)]
+unsafe fn interpolate<L: Lanes>(samples: &[i16], full_edge: usize, cells: &Cells<L>) -> L::F {
+    let (row, plane) = (full_edge, full_edge * full_edge);
+    // SAFETY: `Rays::place` keeps every cell's eight samples inside the brick's `full_edge`³, which is what
+    // `PreparedBrick::new` checked `samples` to hold; the rest as the caller guarantees for L.
+    unsafe {
+        let start = samples.as_ptr();
+        let w = cells.weights_x;
+        let s00 = L::blend(L::pairs(start, &cells.offsets), w);
+        let s01 = L::blend(L::pairs(start.add(row), &cells.offsets), w);
+        let s10 = L::blend(L::pairs(start.add(plane), &cells.offsets), w);
+        let s11 = L::blend(L::pairs(start.add(plane + row), &cells.offsets), w);
+        let s0 = L::add(s00, L::mul(L::sub(s01, s00), cells.wy));
+        let s1 = L::add(s10, L::mul(L::sub(s11, s10), cells.wy));
+        L::add(s0, L::mul(L::sub(s1, s0), cells.wz))
+    }
+}
+
+/// Premultiplied colour and alpha of interpolated samples.
+#[inline(always)]
+unsafe fn classify<L: Lanes>(job: &BrickJob, sample: L::F) -> [L::F; 4] {
+    // SAFETY: the index is kept inside the table, NaN included (`max` gives its second argument then); the rest as
+    // the caller guarantees for L.
+    unsafe {
+        let [factor, offset] = job.index_from_sample;
+        let index = L::add(L::mul(sample, L::splat(factor)), L::splat(offset));
+        let last = L::splat((job.table.len() - 1) as f32);
+        let mut indices = I8::default();
+        L::store_int(L::to_int(L::min(L::max(index, L::splat(0.0)), last)), &mut indices);
+        L::rows(job.table.as_ptr(), &indices)
+    }
+}
+
+/// The two terms of `Lighting::headlight_terms`: the factor of the colour, and the highlight.
+#[inline(always)]
+unsafe fn light_terms<L: Lanes>(
+    job: &BrickJob,
+    light: &LightJob,
+    step: &[L::F; 3],
+    cells: &Cells<L>,
+) -> [L::F; 2] {
+    let (mut weights, mut wy, mut wz) = (I8::default(), F8::default(), F8::default());
+    // SAFETY: `gradients` has one entry per sample, so that what holds for `interpolate` holds here.
+    unsafe {
+        L::store_int(cells.weights_x, &mut weights);
+        L::store(cells.wy, &mut wy);
+        L::store(cells.wz, &mut wz);
+        let strides = [job.full_edge, job.full_edge * job.full_edge];
+        let start = light.gradients.as_ptr();
+        let difference = L::gradients(start, &cells.offsets, strides, &weights, &wy, &wz);
+        let (mut square, mut product) = (L::splat(0.0), L::splat(0.0));
+        for a in 0..3 {
+            let gradient = L::mul(difference[a], L::splat(light.world_from_difference[a]));
+            square = L::add(square, L::mul(gradient, gradient));
+            // The spacings by which the gradient is divided and a step in voxels multiplied cancel.
+            product = L::add(product, L::mul(difference[a], step[a]));
+        }
+        let is_lit = L::less(L::splat(0.0), square);
+        let along = L::abs(L::mul(product, L::splat(light.unit_from_step)));
+        let cosine = L::div(along, L::sqrt(square));
+        let Lighting { ambient, diffuse, specular, specular_power } = light.lighting;
+        let scattered = L::add(L::splat(ambient), L::mul(L::splat(diffuse), cosine));
+        let highlight = L::mul(L::splat(specular), power::<L>(cosine, specular_power));
+        [L::select(is_lit, scattered, L::splat(1.0)), L::and(is_lit, highlight)]
+    }
+}
+
+#[inline(always)]
+unsafe fn power<L: Lanes>(base: L::F, exponent: u32) -> L::F {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let (mut result, mut square, mut rest) = (L::splat(1.0), base, exponent);
+        while rest > 0 {
+            if rest & 1 == 1 {
+                result = L::mul(result, square);
+            }
+            square = L::mul(square, square);
+            rest >>= 1;
+        }
+        result
+    }
+}
+
+/// Lanes whose nearest sample is not masked.
+#[inline(always)]
+unsafe fn unmasked<L: Lanes>(mask: &BitMask, places: [L::F; 3], job: &BrickJob) -> L::F {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let half = L::splat(0.5);
+        let [x, y, z] = [L::add(places[0], half), L::add(places[1], half), L::add(places[2], half)];
+        let index = sample_index::<L>([L::floor(x), L::floor(y), L::floor(z)], job);
+        let mut indices = I8::default();
+        L::store_int(L::to_int(index), &mut indices);
+        let mut bits = 0;
+        for lane in 0..8 {
+            bits |= u32::from(!mask.get(indices.0[lane] as usize)) << lane;
+        }
+        L::mask_of(bits)
+    }
+}
+
+/// Moves every ray of `alive` on to its next sample in a block that can be seen, or past `end`.
+#[inline(always)]
+unsafe fn skip_hidden<L: Lanes>(
+    job: &BrickJob,
+    blocks: &[u8],
+    rays: &Rays<L>,
+    mut k: L::F,
+    end: L::F,
+    alive: L::F,
+) -> L::F {
+    let along_edge = job.blocks_along_edge;
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let last = L::splat((along_edge - 1) as f32);
+        let edge = L::splat(crate::prepared::BLOCK_EDGE as f32);
+        let inverse_edge = L::splat(1.0 / crate::prepared::BLOCK_EDGE as f32);
+        let zero = L::splat(0.0);
+        loop {
+            let inside = L::bits(L::and(L::less(k, end), alive));
+            if inside == 0 {
+                return k;
+            }
+            let mut block = [zero; 3];
+            let mut exit = L::splat(f32::INFINITY);
+            for (a, block) in block.iter_mut().enumerate() {
+                *block = L::min(L::max(L::floor(L::mul(rays.place(a, k), inverse_edge)), zero), last);
+                let ahead = L::select(L::less(rays.step[a], zero), zero, L::splat(1.0));
+                let in_brick = L::mul(L::add(*block, ahead), edge);
+                let plane = L::sub(L::add(in_brick, rays.origin[a]), rays.entry[a]);
+                exit = L::min(L::mul(plane, rays.inverse_step[a]), exit);
+            }
+            let row = L::splat(along_edge as f32);
+            let index = L::add(block[0], L::mul(row, L::add(block[1], L::mul(row, block[2]))));
+            let mut indices = I8::default();
+            L::store_int(L::to_int(index), &mut indices);
+            let mut hidden = 0;
+            for lane in 0..8 {
+                hidden |= u32::from(blocks[indices.0[lane] as usize] == 0) << lane;
+            }
+            hidden &= inside;
+            if hidden == 0 {
+                return k;
+            }
+            // A little before the plane, so that rounding never carries a ray past a sample that is seen.
+            let before = L::sub(exit, L::splat(0.5 + 1.0 / 64.0));
+            let next = L::max(L::add(L::ceil(before), L::splat(0.5)), L::add(k, L::splat(1.0)));
+            k = L::select(L::mask_of(hidden), next, k);
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
+    let mut num_samples = 0;
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let [first, end] = interval::<L>(&job.region, packet);
+        let (half, one, least) = (L::splat(0.5), L::splat(1.0), L::splat(LEAST_TRANSMITTANCE));
+        let mut transmittance = L::load(&packet.transmittance);
+        if L::bits(L::and(L::less(first, end), L::less(least, transmittance))) == 0 {
+            return 0;
+        }
+        let rays = Rays::<L>::new(job, packet);
+        let (mut k, mut limit) = (L::add(first, half), end);
+        let [mut red, mut green, mut blue] =
+            [L::load(&packet.color[0]), L::load(&packet.color[1]), L::load(&packet.color[2])];
+        loop {
+            let alive = L::less(least, transmittance);
+            if let Some(blocks) = job.blocks {
+                k = skip_hidden::<L>(job, blocks, &rays, k, end, alive);
+                limit = L::min(L::add(k, L::splat(RUN)), end);
+            }
+            if L::bits(L::and(L::less(k, end), alive)) == 0 {
+                break;
+            }
+            loop {
+                let mut active = L::and(L::less(k, limit), L::less(least, transmittance));
+                let lanes = L::bits(active);
+                if lanes == 0 {
+                    break;
+                }
+                num_samples += u64::from(lanes.count_ones());
+                let places = [rays.place(0, k), rays.place(1, k), rays.place(2, k)];
+                k = L::add(k, one);
+                let cells = cells_at::<L>(places, job);
+                if MASKED && let Some(mask) = job.mask {
+                    active = L::and(active, unmasked::<L>(mask, places, job));
+                }
+                let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
+                let [r, g, b, alpha] = classify::<L>(job, sample);
+                let weight = L::and(active, transmittance);
+                let opacity = L::mul(weight, alpha);
+                transmittance = L::sub(transmittance, opacity);
+                if LIT && let Some(light) = &job.light {
+                    if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
+                        continue;
+                    }
+                    let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &cells);
+                    let (color, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
+                    red = L::add(red, L::add(L::mul(color, r), white));
+                    green = L::add(green, L::add(L::mul(color, g), white));
+                    blue = L::add(blue, L::add(L::mul(color, b), white));
+                } else {
+                    red = L::add(red, L::mul(weight, r));
+                    green = L::add(green, L::mul(weight, g));
+                    blue = L::add(blue, L::mul(weight, b));
+                }
+            }
+        }
+        L::store(red, &mut packet.color[0]);
+        L::store(green, &mut packet.color[1]);
+        L::store(blue, &mut packet.color[2]);
+        L::store(transmittance, &mut packet.transmittance);
+    }
+    num_samples
+}

@@ -1,0 +1,313 @@
+//! The ray caster on the CPU: object order, tile by tile.
+//!
+//! The screen is cut into tiles, which threads take one after another. A tile goes through the bricks that its part of
+//! the screen may see, front to back, and through each with packets of eight rays. Where a sample lies and which brick
+//! owns it follow from the ray alone, so that neither tiles nor threads nor skipping change a pixel.
+
+mod kernel;
+mod lanes;
+mod table;
+mod tile;
+
+use std::time::Instant;
+
+use chronoxel_core::{Image, UniformGrid};
+use rayon::prelude::*;
+
+use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
+
+pub use kernel::kernel_name;
+use kernel::{BrickJob, LevelBox, LightJob, March};
+use table::Table;
+use tile::{Tile, Work};
+
+/// How the ray caster goes about it; the picture is the same for every choice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CpuOptions {
+    /// Pixels along the edge of a tile, rounded up to a multiple of 8.
+    pub tile_edge: usize,
+    /// Use plain Rust even where the CPU has AVX2.
+    pub plain: bool,
+}
+
+impl Default for CpuOptions {
+    fn default() -> Self {
+        Self { tile_edge: 16, plain: false }
+    }
+}
+
+/// Draws a scene from its bricks, in the threads of rayon's current pool.
+///
+/// * `bricks`: boxes that do not overlap, front to back
+///
+/// # Errors
+/// [`RenderError`] if the scene cannot be drawn, or a brick does not fit it.
+pub fn render(scene: &Scene, bricks: &[DrawBrick]) -> Result<(Image, RenderStats), RenderError> {
+    render_with(scene, bricks, &CpuOptions::default())
+}
+
+/// [`render`], with a choice of how.
+///
+/// # Errors
+/// As [`render`].
+pub fn render_with(
+    scene: &Scene,
+    bricks: &[DrawBrick],
+    options: &CpuOptions,
+) -> Result<(Image, RenderStats), RenderError> {
+    let mut frame = Frame::new(scene, *options)?;
+    frame.draw(bricks)?;
+    Ok(frame.finish())
+}
+
+/// A picture that is drawn in portions, front to back: for volumes whose bricks do not fit memory at once.
+pub struct Frame<'a> {
+    scene: &'a Scene,
+    options: CpuOptions,
+    tile_edge: usize,
+    /// Row by row; `None` where no brick was met yet.
+    tiles: Vec<Option<Tile>>,
+    stats: RenderStats,
+}
+
+impl<'a> Frame<'a> {
+    /// A picture on which nothing is drawn yet.
+    ///
+    /// # Errors
+    /// [`RenderError`] if the scene cannot be drawn.
+    pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
+        scene.check()?;
+        let tile_edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+        let num_tiles = scene.size.map(|n| n.div_ceil(tile_edge)).iter().product();
+        let tiles = std::iter::repeat_with(|| None).take(num_tiles).collect();
+        Ok(Self { scene, options, tile_edge, tiles, stats: RenderStats::default() })
+    }
+
+    /// Draws bricks behind those drawn before.
+    ///
+    /// * `bricks`: boxes that do not overlap, front to back
+    ///
+    /// # Errors
+    /// [`RenderError`] if a brick does not fit the scene.
+    pub fn draw(&mut self, bricks: &[DrawBrick]) -> Result<(), RenderError> {
+        let start = Instant::now();
+        let tables = Tables::new(self.scene, bricks)?;
+        let mut jobs = Vec::with_capacity(bricks.len());
+        for brick in bricks {
+            let job = Job::new(self.scene, brick, &tables, &self.options)?;
+            match &job {
+                None => self.stats.bricks_skipped += 1,
+                Some(Job { work: Work::March(..), .. }) => self.stats.bricks_drawn += 1,
+                Some(_) => self.stats.bricks_constant += 1,
+            }
+            jobs.extend(job);
+        }
+        let (scene, edge) = (self.scene, self.tile_edge);
+        let tiles_along = scene.size[0].div_ceil(edge);
+        let lists = bin(&jobs, scene.size, edge);
+        let draw_tile = |(i, (tile, list)): (usize, (&mut Option<Tile>, &Vec<u32>))| {
+            if list.is_empty() {
+                return;
+            }
+            let corner = [i % tiles_along * edge, i / tiles_along * edge];
+            let tile = tile.get_or_insert_with(|| Tile::new(scene, corner, edge));
+            list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
+        };
+        self.tiles.par_iter_mut().zip(&lists).enumerate().with_max_len(1).for_each(draw_tile);
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        Ok(())
+    }
+
+    /// The picture, and what it took.
+    pub fn finish(mut self) -> (Image, RenderStats) {
+        let start = Instant::now();
+        let [width, height] = self.scene.size;
+        let mut image = Image { width, height, pixels: vec![[0.0; 4]; width * height] };
+        for tile in self.tiles.iter().flatten() {
+            tile.copy_to(&mut image);
+            self.stats.num_samples += tile.num_samples();
+        }
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        (image, self.stats)
+    }
+}
+
+/// One table per level that is drawn: opacities are those of the level's step length.
+struct Tables {
+    of_level: Vec<Option<Table>>,
+    step_length: f64,
+}
+
+/// Levels that a draw list may have: more than any grid of 2^31 samples along an axis.
+const MAX_LEVELS: usize = 32;
+
+impl Tables {
+    fn new(scene: &Scene, bricks: &[DrawBrick]) -> Result<Self, RenderError> {
+        let mut of_level: Vec<Option<Table>> = Vec::new();
+        for brick in bricks {
+            let level = usize::from(brick.node.level);
+            if level >= MAX_LEVELS {
+                return Err(RenderError::invalid("brick's level", level, "it must be below 32"));
+            }
+            of_level.resize_with(of_level.len().max(level + 1), || None);
+            if of_level[level].is_none() && matches!(brick.how, DrawHow::Samples(_)) {
+                let dt = scene.step_length() * (1u64 << level) as f64;
+                of_level[level] = Some(Table::new(&scene.transfer, dt, scene.opacity_unit));
+            }
+        }
+        Ok(Self { of_level, step_length: scene.step_length() })
+    }
+}
+
+/// A brick on its way to the screen.
+struct Job<'a> {
+    /// Columns and rows of the picture that it may touch, half-open.
+    pixels: [[usize; 2]; 2],
+    region: LevelBox,
+    work: Work<'a>,
+}
+
+impl<'a> Job<'a> {
+    fn new(
+        scene: &'a Scene,
+        brick: &'a DrawBrick,
+        tables: &'a Tables,
+        options: &CpuOptions,
+    ) -> Result<Option<Self>, RenderError> {
+        let [low, high] = brick.region;
+        let is_box = (0..3).all(|a| low[a] < high[a] && low[a].is_finite() && high[a].is_finite());
+        if !is_box {
+            let remedy = "the lower corner must lie below the upper one";
+            return Err(RenderError::invalid("brick's region", format!("{:?}", brick.region), remedy));
+        }
+        let level = brick.node.level;
+        let Some(region) = level_box(&scene.grid, brick.region, level) else { return Ok(None) };
+        let Some(pixels) = pixels_of(scene, brick.region) else { return Ok(None) };
+        let dt = tables.step_length * (1u64 << level) as f64;
+        let constant = |color: [f64; 4]| {
+            let sample = table::premultiplied(color, dt, scene.opacity_unit);
+            (sample[3] > 0.0).then_some(Work::Constant(sample))
+        };
+        let work = match &brick.how {
+            DrawHow::Skip => None,
+            DrawHow::Constant(value) => constant(scene.transfer.evaluate(*value)),
+            DrawHow::ConstantColor([r, g, b], opacity) => constant([*r, *g, *b, *opacity].map(f64::from)),
+            DrawHow::Samples(prepared) => {
+                let table =
+                    tables.of_level[usize::from(level)].as_ref().expect("made for every level sampled");
+                march_of(scene, brick, prepared, table, region, options)?
+            }
+        };
+        Ok(work.map(|work| Self { pixels, region, work }))
+    }
+}
+
+/// The kernel's work on a brick; `None` where all of it is transparent.
+fn march_of<'a>(
+    scene: &'a Scene,
+    brick: &DrawBrick,
+    prepared: &'a PreparedBrick,
+    table: &'a Table,
+    region: LevelBox,
+    options: &CpuOptions,
+) -> Result<Option<Work<'a>>, RenderError> {
+    let layout = prepared.layout();
+    if *layout != scene.layout {
+        let remedy = "prepare bricks with the scene's layout";
+        return Err(RenderError::invalid("brick's layout", format!("{layout:?}"), remedy));
+    }
+    let index_from_sample = table.index_from_sample(prepared);
+    if table.is_transparent_over(prepared.range, index_from_sample) {
+        return Ok(None);
+    }
+    let light = match (&scene.lighting, &prepared.gradients) {
+        (None, _) => None,
+        (Some(lighting), Some(gradients)) => Some(LightJob {
+            lighting: *lighting,
+            gradients,
+            world_from_difference: scene.grid.spacing.map(|s| (scene.grid.smallest_spacing() / s) as f32),
+            unit_from_step: (1.0 / scene.step_voxels) as f32,
+        }),
+        (Some(_), None) => {
+            let remedy = "prepare bricks as lit to draw them with lighting";
+            return Err(RenderError::invalid("brick's gradients", "missing", remedy));
+        }
+    };
+    let visible: Vec<u8> = prepared
+        .block_ranges
+        .iter()
+        .map(|&range| u8::from(!table.is_transparent_over(range, index_from_sample)))
+        .collect();
+    let num_hidden = visible.iter().filter(|v| **v == 0).count();
+    let job = BrickJob {
+        region,
+        samples: &prepared.samples,
+        full_edge: layout.full_edge(),
+        low_apron: layout.low,
+        origin: brick.node.brick().map(|b| (f64::from(b) * layout.edge as f64) as f32),
+        index_from_sample,
+        table: &table.entries,
+        blocks: None,
+        blocks_along_edge: layout.edge / crate::prepared::BLOCK_EDGE,
+        mask: prepared.mask.as_ref(),
+        light,
+    };
+    let march: March = kernel::march_for(&job, options.plain);
+    Ok(Some(Work::March(march, job, (num_hidden > 0).then_some(visible))))
+}
+
+/// A box in voxels of its level, open at the grid's faces; `None` where it lies on or beyond the far ones.
+fn level_box(grid: &UniformGrid, [low, high]: [[f64; 3]; 2], level: u8) -> Option<LevelBox> {
+    let scale = 1.0 / (1u64 << level) as f64;
+    let last = grid.dims.map(|n| (n - 1) as f64);
+    if (0..3).any(|a| low[a] >= last[a] || high[a] <= 0.0) {
+        return None;
+    }
+    let plane = |c: f64, a: usize| match c {
+        c if c <= 0.0 => f32::NEG_INFINITY,
+        c if c >= last[a] => f32::INFINITY,
+        c => (c * scale) as f32,
+    };
+    Some(LevelBox {
+        scale: scale as f32,
+        low: std::array::from_fn(|a| plane(low[a], a)),
+        high: std::array::from_fn(|a| plane(high[a], a)),
+    })
+}
+
+/// Columns and rows that a box may touch: all where it reaches behind the camera.
+fn pixels_of(scene: &Scene, region: [[f64; 3]; 2]) -> Option<[[usize; 2]; 2]> {
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let last = scene.grid.dims.map(|n| (n - 1) as f64);
+    for corner in 0..8 {
+        let voxel = std::array::from_fn(|a| region[corner >> a & 1][a].clamp(0.0, last[a]));
+        let Some([x, y, _]) = scene.camera.project(scene.grid.world_from_voxel(voxel), scene.size) else {
+            return Some([[0, scene.size[0]], [0, scene.size[1]]]);
+        };
+        for (a, c) in [x, y].into_iter().enumerate() {
+            low[a] = low[a].min(c);
+            high[a] = high[a].max(c);
+        }
+    }
+    let range = |a: usize| {
+        let size = scene.size[a] as f64;
+        [(low[a].floor() - 1.0).clamp(0.0, size) as usize, (high[a].ceil() + 1.0).clamp(0.0, size) as usize]
+    };
+    let pixels = [range(0), range(1)];
+    pixels.iter().all(|[from, to]| from < to).then_some(pixels)
+}
+
+/// For each tile, row by row, the jobs that touch it, in order.
+fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<Vec<u32>> {
+    let along = size.map(|n| n.div_ceil(edge));
+    let mut lists = vec![Vec::new(); along[0] * along[1]];
+    for (i, job) in jobs.iter().enumerate() {
+        let [columns, rows] = job.pixels.map(|[from, to]| from / edge..=(to - 1) / edge);
+        for row in rows {
+            for column in columns.clone() {
+                lists[row * along[0] + column].push(i as u32);
+            }
+        }
+    }
+    lists
+}

@@ -1,0 +1,135 @@
+//! A tile of the screen: its rays, and what they have gathered.
+
+use chronoxel_core::{Image, compositing::accumulate_constant};
+
+use crate::Scene;
+
+use super::Job;
+use super::kernel::{BrickJob, LEAST_TRANSMITTANCE, March, Packet, sample_interval};
+use super::lanes::F8;
+
+/// Columns and rows of pixels of a packet.
+const PACKET: [usize; 2] = [4, 2];
+
+/// What is done with a brick.
+pub(super) enum Work<'a> {
+    /// Sampled; with one flag per block that can be seen, where not all can.
+    March(March, BrickJob<'a>, Option<Vec<u8>>),
+    /// Crossed in closed form: premultiplied colour and alpha of one sample.
+    Constant([f32; 4]),
+}
+
+/// The rays of a square of pixels.
+pub(super) struct Tile {
+    corner: [usize; 2],
+    packets_along: [usize; 2],
+    packets: Vec<Packet>,
+    num_samples: u64,
+}
+
+impl Tile {
+    /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
+    pub fn new(scene: &Scene, corner: [usize; 2], edge: usize) -> Self {
+        let packets_along = PACKET.map(|n| edge / n);
+        let packets = (0..packets_along[0] * packets_along[1])
+            .map(|i| {
+                let first = [i % packets_along[0] * PACKET[0], i / packets_along[0] * PACKET[1]];
+                packet_at(scene, [corner[0] + first[0], corner[1] + first[1]])
+            })
+            .collect();
+        Self { corner, packets_along, packets, num_samples: 0 }
+    }
+
+    /// Samples taken so far.
+    pub fn num_samples(&self) -> u64 {
+        self.num_samples
+    }
+
+    /// Puts a brick behind what was drawn before.
+    pub fn draw(&mut self, job: &Job) {
+        let range = |a: usize| {
+            let [from, to] = job.pixels[a].map(|p| p.saturating_sub(self.corner[a]));
+            from / PACKET[a]..to.div_ceil(PACKET[a]).min(self.packets_along[a])
+        };
+        for row in range(1) {
+            for column in range(0) {
+                let packet = &mut self.packets[row * self.packets_along[0] + column];
+                match &job.work {
+                    Work::Constant(sample) => cross_constant(&job.region, *sample, packet),
+                    Work::March(march, brick, blocks) => {
+                        let brick = BrickJob { blocks: blocks.as_deref(), ..*brick };
+                        // SAFETY: `march_for` chose a kernel that this CPU has, and the brick's arrays have the sizes
+                        // that `PreparedBrick::new` checked.
+                        self.num_samples += unsafe { march(&brick, packet) };
+                    }
+                }
+            }
+        }
+    }
+
+    /// Copies the pixels that lie in the picture.
+    pub fn copy_to(&self, image: &mut Image) {
+        for (i, packet) in self.packets.iter().enumerate() {
+            let first = [i % self.packets_along[0] * PACKET[0], i / self.packets_along[0] * PACKET[1]];
+            for lane in 0..8 {
+                let x = self.corner[0] + first[0] + lane % PACKET[0];
+                let y = self.corner[1] + first[1] + lane / PACKET[0];
+                if x < image.width && y < image.height {
+                    let [r, g, b] = packet.color.map(|c| c.0[lane]);
+                    image.pixels[y * image.width + x] = [r, g, b, 1.0 - packet.transmittance.0[lane]];
+                }
+            }
+        }
+    }
+}
+
+/// The rays of eight pixels.
+fn packet_at(scene: &Scene, first: [usize; 2]) -> Packet {
+    let zero = F8::default();
+    let mut packet = Packet {
+        entry: [zero; 3],
+        step: [zero; 3],
+        inverse_step: [F8([1.0; 8]); 3],
+        length: zero,
+        num_samples: zero,
+        color: [zero; 3],
+        transmittance: F8([1.0; 8]),
+    };
+    let dt = scene.step_length();
+    for lane in 0..8 {
+        let pixel = [first[0] + lane % PACKET[0], first[1] + lane / PACKET[0]];
+        if pixel[0] >= scene.size[0] || pixel[1] >= scene.size[1] {
+            continue;
+        }
+        let ray = scene.camera.ray(pixel.map(|p| p as f64 + 0.5), scene.size);
+        let Some([entry, exit]) = scene.clip_to_grid(&ray) else { continue };
+        let world = std::array::from_fn(|a| ray.origin[a] + entry * ray.direction[a]);
+        let voxel = scene.grid.voxel_from_world(world);
+        for (a, place) in voxel.into_iter().enumerate() {
+            let step = (ray.direction[a] * dt / scene.grid.spacing[a]) as f32;
+            packet.entry[a].0[lane] = place as f32;
+            packet.step[a].0[lane] = step;
+            packet.inverse_step[a].0[lane] = if step.abs() < 1e-30 { 1e30 } else { 1.0 / step };
+        }
+        packet.length.0[lane] = ((exit - entry) / dt) as f32;
+        packet.num_samples.0[lane] = ((exit - entry) / dt).round() as f32;
+    }
+    packet
+}
+
+/// Crosses a box of one colour in closed form, as that many whole samples.
+fn cross_constant(region: &super::LevelBox, sample: [f32; 4], packet: &mut Packet) {
+    let [first, end] = sample_interval(region, packet);
+    for lane in 0..8 {
+        let transmittance = packet.transmittance.0[lane];
+        let num_samples = end.0[lane] - first.0[lane];
+        if num_samples <= 0.0 || transmittance <= LEAST_TRANSMITTANCE {
+            continue;
+        }
+        let (weight, run_transmittance) = accumulate_constant(sample[3], num_samples);
+        for (color, c) in packet.color.iter_mut().zip(sample) {
+            color.0[lane] += transmittance * weight * c;
+        }
+        packet.transmittance.0[lane] = transmittance * run_transmittance;
+    }
+}

@@ -1,0 +1,98 @@
+//! The reference renderer: what the right picture is.
+//!
+//! Double precision over a dense field, one ray after another, every sample of it: no bricks, no tables, no early
+//! end. It is slow, and meant to be read.
+
+use chronoxel_core::{Image, Ray, compositing};
+
+use crate::{RenderError, Scene};
+
+/// A dense field of samples over the scene's grid, `[z, y, x]`.
+#[derive(Debug, Clone, Copy)]
+pub struct DenseField<'a> {
+    /// One value per sample, finite.
+    pub samples: &'a [f64],
+    /// One flag per sample, set where it is masked.
+    pub mask: Option<&'a [bool]>,
+}
+
+/// The picture of a scene, by definition.
+///
+/// # Errors
+/// [`RenderError`] if the scene cannot be drawn, or the field has another number of samples than the grid.
+pub fn render_reference(scene: &Scene, field: &DenseField) -> Result<Image, RenderError> {
+    scene.check()?;
+    let num_samples = scene.grid.num_samples();
+    if field.samples.len() != num_samples || field.mask.is_some_and(|m| m.len() != num_samples) {
+        let remedy = "give one value (and one flag) per sample of the grid";
+        return Err(RenderError::invalid("number of samples", field.samples.len(), remedy));
+    }
+    let [width, height] = scene.size;
+    let mut image = Image::new(width, height)?;
+    for (i, pixel) in image.pixels.iter_mut().enumerate() {
+        let centre = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
+        *pixel = march(scene, field, &scene.camera.ray(centre, scene.size)).map(|c| c as f32);
+    }
+    Ok(image)
+}
+
+fn march(scene: &Scene, field: &DenseField, ray: &Ray) -> [f64; 4] {
+    let mut pixel = [0.0; 4];
+    let Some([entry, exit]) = scene.clip_to_grid(ray) else { return pixel };
+    let dt = scene.step_length();
+    let num_samples = ((exit - entry) / dt).round() as usize;
+    for k in 0..num_samples {
+        let t = entry + (k as f64 + 0.5) * dt;
+        let world = std::array::from_fn(|a| ray.origin[a] + t * ray.direction[a]);
+        let voxel = scene.grid.voxel_from_world(world);
+        if field.mask.is_some_and(|mask| mask[nearest(scene, voxel)]) {
+            continue;
+        }
+        let value = interpolate(scene, voxel, |i| field.samples[i]);
+        let [r, g, b, opacity] = scene.transfer.evaluate(value);
+        let alpha = compositing::correct_opacity(opacity, dt, scene.opacity_unit);
+        let (scattered, highlight) = match &scene.lighting {
+            None => (1.0, 0.0),
+            Some(lighting) => {
+                let gradient = std::array::from_fn(|axis| {
+                    interpolate(scene, voxel, |i| central_difference(scene, field, i, axis))
+                });
+                lighting.headlight_terms(gradient, ray.direction)
+            }
+        };
+        let lit = |c: f64| alpha * (c * scattered + highlight);
+        compositing::accumulate(&mut pixel, [lit(r), lit(g), lit(b), alpha]);
+    }
+    pixel
+}
+
+fn nearest(scene: &Scene, voxel: [f64; 3]) -> usize {
+    let [nx, ny, nz] = scene.grid.dims;
+    let index = |v: f64, n: usize| (v + 0.5).floor().clamp(0.0, (n - 1) as f64) as usize;
+    (index(voxel[2], nz) * ny + index(voxel[1], ny)) * nx + index(voxel[0], nx)
+}
+
+/// Trilinear interpolation of what `at` gives for a sample's index.
+fn interpolate(scene: &Scene, voxel: [f64; 3], at: impl Fn(usize) -> f64) -> f64 {
+    let [nx, ny, nz] = scene.grid.dims;
+    let cell = |v: f64, n: usize| v.floor().clamp(0.0, (n - 2) as f64) as usize;
+    let (x, y, z) = (cell(voxel[0], nx), cell(voxel[1], ny), cell(voxel[2], nz));
+    let (wx, wy, wz) = (voxel[0] - x as f64, voxel[1] - y as f64, voxel[2] - z as f64);
+    let mut sum = 0.0;
+    for corner in 0..8 {
+        let (i, j, k) = (corner & 1, corner >> 1 & 1, corner >> 2);
+        let weight = |w: f64, bit: usize| if bit == 1 { w } else { 1.0 - w };
+        sum += weight(wx, i) * weight(wy, j) * weight(wz, k) * at(((z + k) * ny + y + j) * nx + x + i);
+    }
+    sum
+}
+
+/// Central difference at a sample, world units; beyond the grid, samples are replicated outwards.
+fn central_difference(scene: &Scene, field: &DenseField, index: usize, axis: usize) -> f64 {
+    let dims = scene.grid.dims;
+    let stride: usize = dims[..axis].iter().product();
+    let i = index / stride % dims[axis];
+    let before = if i > 0 { index - stride } else { index };
+    let after = if i + 1 < dims[axis] { index + stride } else { index };
+    (field.samples[after] - field.samples[before]) / (2.0 * scene.grid.spacing[axis])
+}

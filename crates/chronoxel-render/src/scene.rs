@@ -1,0 +1,120 @@
+//! What is drawn, from where, and how: the same words for every renderer.
+
+use std::sync::Arc;
+
+use chronoxel_core::{
+    BrickLayout, Camera, Lighting, NodeId, Ray, ResolvedTransfer, UniformGrid, image::check_size,
+};
+
+use crate::{PreparedBrick, RenderError};
+
+/// Everything about a picture but the samples.
+///
+/// A ray takes samples at `t_k = t_entry + (k + ½) · dt`, where `t_entry` is where it enters the box of the grid and
+/// `k` counts from 0 to `round((t_exit − t_entry) / dt)`; a brick of level `l` is sampled at the same rule with
+/// `dt · 2^l`. Each brick owns the samples inside its box, by a rule that depends on the planes of the box alone.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// Where samples lie.
+    pub grid: UniformGrid,
+    /// The shape of the bricks.
+    pub layout: BrickLayout,
+    /// Where it is seen from.
+    pub camera: Camera,
+    /// Colour and opacity of a value.
+    pub transfer: ResolvedTransfer,
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+    /// Distance between samples at level 0, in multiples of the grid's smallest spacing; up to 2.
+    pub step_voxels: f64,
+    /// How samples are lit; `None` draws their own colours.
+    pub lighting: Option<Lighting>,
+    /// Path length that the transfer function's opacities refer to, world units.
+    pub opacity_unit: f64,
+}
+
+impl Scene {
+    /// Distance between samples at level 0, world units.
+    pub fn step_length(&self) -> f64 {
+        self.step_voxels * self.grid.smallest_spacing()
+    }
+
+    /// Checks that the scene can be drawn.
+    ///
+    /// # Errors
+    /// [`RenderError`] naming what cannot be used.
+    pub fn check(&self) -> Result<(), RenderError> {
+        check_size(self.size)?;
+        if self.grid.num_cells() == 0 {
+            return Err(RenderError::FlatGrid { dims: self.grid.dims });
+        }
+        if !(0.01..=2.0).contains(&self.step_voxels) {
+            let remedy = "use a number of voxels between 0.01 and 2";
+            return Err(RenderError::invalid("step length", self.step_voxels, remedy));
+        }
+        if !(self.opacity_unit.is_finite() && self.opacity_unit > 0.0) {
+            let remedy = "it must be a finite and positive length";
+            return Err(RenderError::invalid("opacity unit", self.opacity_unit, remedy));
+        }
+        Ok(self.lighting.map_or(Ok(()), |lighting| lighting.check())?)
+    }
+
+    /// The part of a ray inside the grid's box, in front of the camera: lengths along it.
+    pub(crate) fn clip_to_grid(&self, ray: &Ray) -> Option<[f64; 2]> {
+        let [low, high] = self.grid.bounds();
+        let (mut entry, mut exit) = (0.0f64, f64::INFINITY);
+        for a in 0..3 {
+            if ray.direction[a] == 0.0 {
+                if !(low[a]..=high[a]).contains(&ray.origin[a]) {
+                    return None;
+                }
+                continue;
+            }
+            let inverse = 1.0 / ray.direction[a];
+            let (t0, t1) = ((low[a] - ray.origin[a]) * inverse, (high[a] - ray.origin[a]) * inverse);
+            entry = entry.max(t0.min(t1));
+            exit = exit.min(t0.max(t1));
+        }
+        (entry < exit).then_some([entry, exit])
+    }
+}
+
+/// One entry of a draw list: a box, and what is in it.
+#[derive(Debug, Clone)]
+pub struct DrawBrick {
+    /// The node whose data is drawn.
+    pub node: NodeId,
+    /// The half-open box to draw it in, in level-0 voxels: the node's own, or the octant of a finer node that
+    /// is absent.
+    pub region: [[f64; 3]; 2],
+    /// What is in it.
+    pub how: DrawHow,
+}
+
+/// What a draw list says of a box.
+#[derive(Debug, Clone)]
+pub enum DrawHow {
+    /// Nothing is seen there.
+    Skip,
+    /// One value everywhere.
+    Constant(f64),
+    /// One sRGB colour and opacity per unit length everywhere, whatever the transfer function.
+    ConstantColor([f32; 3], f32),
+    /// Samples.
+    Samples(Arc<PreparedBrick>),
+}
+
+/// What it took to make a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RenderStats {
+    /// Samples interpolated and classified.
+    pub num_samples: u64,
+    /// Bricks of the list that were sampled.
+    pub bricks_drawn: usize,
+    /// Bricks crossed in closed form.
+    pub bricks_constant: usize,
+    /// Bricks left out: absent, transparent, or outside the picture.
+    pub bricks_skipped: usize,
+    /// Wall-clock time.
+    pub render_ms: f64,
+}

@@ -1,0 +1,79 @@
+//! One inner chunk: zstd, then CRC-32C of the compressed bytes, little-endian.
+
+use std::cell::RefCell;
+
+use zstd::bulk::{Compressor, Decompressor};
+
+/// Level of zstd that the writer uses.
+pub const ZSTD_LEVEL: i32 = 1;
+
+thread_local! {
+    static COMPRESSOR: RefCell<Option<(i32, Compressor<'static>)>> = const { RefCell::new(None) };
+    static DECOMPRESSOR: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
+}
+
+/// Most bytes that `num_bytes` can take when stored.
+pub(crate) fn largest_stored(num_bytes: usize) -> usize {
+    zstd::zstd_safe::compress_bound(num_bytes) + 4
+}
+
+/// The stored form of a chunk's bytes.
+pub(crate) fn encode(bytes: &[u8], level: i32) -> std::io::Result<Vec<u8>> {
+    COMPRESSOR.with_borrow_mut(|slot| {
+        let compressor = match slot {
+            Some((at, compressor)) if *at == level => compressor,
+            _ => &mut slot.insert((level, Compressor::new(level)?)).1,
+        };
+        let mut stored = compressor.compress(bytes)?;
+        let crc = crc32c::crc32c(&stored);
+        stored.extend_from_slice(&crc.to_le_bytes());
+        Ok(stored)
+    })
+}
+
+/// The bytes of a stored chunk, which must be `num_bytes`; else what is wrong.
+pub(crate) fn decode(stored: &[u8], num_bytes: usize) -> Result<Vec<u8>, String> {
+    let Some((compressed, crc)) = stored.split_last_chunk::<4>() else {
+        return Err(format!("{} stored bytes are too few for a checksum", stored.len()));
+    };
+    let (stated, computed) = (u32::from_le_bytes(*crc), crc32c::crc32c(compressed));
+    if stated != computed {
+        return Err(format!(
+            "the checksum is {computed:08x} where {stated:08x} is stored: bytes are damaged"
+        ));
+    }
+    DECOMPRESSOR.with_borrow_mut(|slot| {
+        let decompressor = match slot {
+            Some(decompressor) => decompressor,
+            None => slot.insert(Decompressor::new().map_err(|e| e.to_string())?),
+        };
+        let mut bytes = Vec::with_capacity(num_bytes);
+        decompressor.decompress_to_buffer(compressed, &mut bytes).map_err(|e| format!("zstd: {e}"))?;
+        match bytes.len() == num_bytes {
+            true => Ok(bytes),
+            false => Err(format!("{} bytes where {num_bytes} are due", bytes.len())),
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_damaged_or_oversized_chunk_is_an_error() {
+        let bytes: Vec<u8> = (0..5000u32).map(|i| (i * i >> 7) as u8).collect();
+        let stored = encode(&bytes, 1).unwrap();
+        assert!(stored.len() <= largest_stored(bytes.len()));
+        assert_eq!(decode(&stored, 5000).unwrap(), bytes);
+        assert!(decode(&stored, 4999).is_err() && decode(&stored, 5001).is_err());
+        for at in 0..stored.len() {
+            let mut damaged = stored.clone();
+            damaged[at] ^= 0x40;
+            assert!(decode(&damaged, 5000).is_err(), "byte {at}");
+        }
+        assert!(decode(&[], 0).is_err());
+        let bomb = encode(&vec![0; 1 << 24], 1).unwrap();
+        assert!(decode(&bomb, 64).is_err());
+    }
+}

@@ -1,0 +1,171 @@
+//! Commits: what is complete becomes part of the store, what is not goes to the journal.
+//!
+//! The order is what makes a crash at any moment harmless: data synced under temporary names, renamed; then the
+//! journal's state; then the header. A header never speaks of rows that are not there, and a state older than
+//! the files is restored by taking the files back (see `resume`).
+
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+
+use crate::{
+    StoreError,
+    arrays::ArrayKind,
+    files,
+    journal::{self, ShardSummary, StateSummary, WindowSummary},
+    shard::OpenShard,
+    spans::SpanChunk,
+    writer::StoreWriter,
+};
+
+/// A file on its way from its temporary name to its own.
+struct Closing {
+    temporary: PathBuf,
+    path: PathBuf,
+    content: Content,
+}
+
+enum Content {
+    Spans(SpanChunk),
+    Shard(OpenShard),
+}
+
+impl StoreWriter {
+    pub(crate) fn commit(&mut self, num_put: u32) -> Result<(), StoreError> {
+        self.check_covered(num_put)?;
+        let closing = self.take_complete();
+        let zstd_level = self.header.zstd_level;
+        let closed: Result<Vec<_>, StoreError> =
+            closing.into_par_iter().map(|closing| closing.close(zstd_level)).collect();
+        let open: Vec<&mut OpenShard> =
+            self.windows.values_mut().flat_map(|window| window.shards.values_mut()).collect();
+        open.into_par_iter().try_for_each(OpenShard::sync)?;
+        for (temporary, path, len) in closed? {
+            files::rename(&temporary, &path)?;
+            self.header.totals.data_bytes += len;
+        }
+        self.header.num_steps_finished = self.num_steps_closed();
+        self.write_state()?;
+        self.write_header()
+    }
+
+    /// Rows of a window length that are complete: every node's cover reaches past the starts that belong to them.
+    fn num_rows_complete(&self, (variable, level, window): (u16, u8, u32)) -> u32 {
+        let nodes = &self.covered[usize::from(variable)][usize::from(level)];
+        let covered = nodes.iter().copied().min().unwrap_or(0);
+        if covered == self.header.num_steps() {
+            self.header.num_rows(window)
+        } else {
+            covered.div_ceil(window)
+        }
+    }
+
+    /// Checks that the last commit has all spans.
+    fn check_covered(&self, num_put: u32) -> Result<(), StoreError> {
+        if num_put < self.header.num_steps() {
+            return Ok(());
+        }
+        for (entry, levels) in self.header.variables.iter().zip(&self.covered) {
+            for (level, nodes) in levels.iter().enumerate() {
+                if let Some(node) = nodes.iter().position(|&covered| covered < num_put) {
+                    let value = format!("{num_put} ({}, level {level}, node {node})", entry.name);
+                    let remedy = format!("the node's spans reach step {} only", nodes[node]);
+                    return Err(StoreError::invalid("number of steps to commit", value, remedy));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the shards out whose rows are complete.
+    fn take_complete(&mut self) -> Vec<Closing> {
+        let mut closing = Vec::new();
+        let keys: Vec<(u16, u8, u32)> = self.windows.keys().copied().collect();
+        for key in keys {
+            let rows = self.header.rows_per_shard(key.2);
+            let num_nodes = self.header.num_nodes(key.1);
+            let num_rows = self.num_rows_complete(key);
+            let all = num_rows == self.header.num_rows(key.2);
+            let num_done = if all { self.header.num_shards(key.2) } else { num_rows / rows };
+            let Some(window) = self.windows.get_mut(&key) else { continue };
+            let first = std::mem::replace(&mut window.num_shards_closed, num_done);
+            let mut contents: Vec<(Option<ArrayKind>, u32, Content)> = Vec::new();
+            for shard in first..num_done {
+                let spans = window.span_chunks.remove(&shard);
+                let spans = spans.unwrap_or_else(|| SpanChunk::new(rows, num_nodes));
+                contents.push((None, shard, Content::Spans(spans)));
+            }
+            while let Some(&(kind, shard)) = window.shards.keys().find(|(_, shard)| *shard < num_done) {
+                let open = window.shards.remove(&(kind, shard));
+                contents.extend(open.map(|open| (Some(kind), shard, Content::Shard(open))));
+            }
+            closing.extend(contents.into_iter().map(|(kind, shard, content)| {
+                let relative = match kind {
+                    None => self.header.span_file(&self.spans_id(key, shard)),
+                    Some(kind) => self.header.shard_file(&self.shard_id(key, kind, shard)),
+                };
+                Closing { temporary: self.journal_path(&relative), path: self.root.join(relative), content }
+            }));
+        }
+        closing
+    }
+
+    /// Steps below which every span of every node lies in a complete shard.
+    fn num_steps_closed(&self) -> u32 {
+        let put = self.covered.iter().flatten().flatten().copied().min().unwrap_or(0);
+        let chunks = self.windows.values().flat_map(|window| window.span_chunks.values());
+        chunks.flat_map(SpanChunk::starts).map(|start| start as u32).fold(put, u32::min)
+    }
+
+    pub(crate) fn write_state(&mut self) -> Result<(), StoreError> {
+        self.write_digests()?;
+        let mut numbers = Vec::new();
+        for covered in self.covered.iter().flatten().flatten() {
+            numbers.extend_from_slice(&covered.to_le_bytes());
+        }
+        let mut windows = Vec::new();
+        for window in self.windows.values() {
+            window.span_chunks.values().for_each(|chunk| numbers.extend_from_slice(&chunk.to_bytes()));
+            for number in window.shards.values().flat_map(|shard| shard.index().iter().flatten()) {
+                numbers.extend_from_slice(&number.to_le_bytes());
+            }
+            windows.push(WindowSummary {
+                num_shards_closed: window.num_shards_closed,
+                span_chunks: window.span_chunks.keys().copied().collect(),
+                shards: window
+                    .shards
+                    .iter()
+                    .map(|(&(kind, shard), open)| ShardSummary::new(kind, shard, open.len()))
+                    .collect(),
+            });
+        }
+        let summary = StateSummary {
+            description_crc: self.description_crc,
+            num_steps_finished: self.header.num_steps_finished,
+            totals: self.header.totals,
+            ranges: self.header.variables.iter().map(|v| [v.min, v.max]).collect(),
+            num_digests: self.num_digests,
+            digests_crc: self.digests_crc,
+            windows,
+        };
+        let temporary = self.journal_path("state.new");
+        files::write_synced(&temporary, &journal::state_bytes(&summary, &numbers)?)?;
+        files::rename(&temporary, &self.journal_path("state"))
+    }
+}
+
+impl Closing {
+    /// Completes the file under its temporary name; gives both names and its length.
+    fn close(self, zstd_level: i32) -> Result<(PathBuf, PathBuf, u64), StoreError> {
+        let len = match self.content {
+            Content::Shard(shard) => shard.close()?,
+            Content::Spans(spans) => {
+                let stored = spans.encode(zstd_level);
+                let stored = stored.map_err(StoreError::io(&self.path, "compress"))?;
+                files::write_synced(&self.temporary, &stored)?;
+                stored.len() as u64
+            }
+        };
+        Ok((self.temporary, self.path, len))
+    }
+}

@@ -1,0 +1,113 @@
+//! The few file operations a store needs, with errors that name the file.
+
+use std::{
+    fs::{self, File},
+    io::{ErrorKind, Read, Write},
+    path::{Path, PathBuf},
+};
+
+use crate::StoreError;
+
+/// Reads `buffer.len()` bytes at `offset` without moving a cursor.
+pub(crate) fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> std::io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::read_exact_at(file, buffer, offset);
+    #[cfg(windows)]
+    {
+        let mut done = 0;
+        while done < buffer.len() {
+            let at = offset + done as u64;
+            match std::os::windows::fs::FileExt::seek_read(file, &mut buffer[done..], at)? {
+                0 => return Err(ErrorKind::UnexpectedEof.into()),
+                n => done += n,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A whole file of at most `most` bytes; `None` where there is none.
+pub(crate) fn read_whole(path: &Path, most: u64) -> Result<Option<Vec<u8>>, StoreError> {
+    let file = match File::open(path) {
+        Ok(file) => file,
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(StoreError::io(path, "open")(e)),
+    };
+    let len = file.metadata().map_err(StoreError::io(path, "read the size of"))?.len();
+    if len > most {
+        return Err(StoreError::corrupt(path, "size in bytes", len, format!("at most {most} can be right")));
+    }
+    let mut bytes = Vec::with_capacity(len as usize);
+    file.take(most).read_to_end(&mut bytes).map_err(StoreError::io(path, "read"))?;
+    Ok(Some(bytes))
+}
+
+/// Writes a new file and waits until it is on disk.
+pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    let mut file = File::create(path).map_err(StoreError::io(path, "create"))?;
+    file.write_all(bytes).map_err(StoreError::io(path, "write"))?;
+    file.sync_data().map_err(StoreError::io(path, "sync"))
+}
+
+/// Renames a file over another.
+pub(crate) fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
+    fs::rename(from, to).map_err(StoreError::io(to, "rename a finished file to"))
+}
+
+/// Waits until the names in a folder are on disk, where the system can do that.
+pub(crate) fn sync_folder(path: &Path) -> Result<(), StoreError> {
+    #[cfg(unix)]
+    File::open(path).and_then(|folder| folder.sync_all()).map_err(StoreError::io(path, "sync"))?;
+    #[cfg(not(unix))]
+    let _ = path;
+    Ok(())
+}
+
+/// Removes a file if it is there.
+pub(crate) fn remove_file(path: &Path) -> Result<(), StoreError> {
+    match fs::remove_file(path) {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(StoreError::io(path, "remove")(e)),
+        _ => Ok(()),
+    }
+}
+
+/// Removes a folder with everything in it if it is there.
+pub(crate) fn remove_folder(path: &Path) -> Result<(), StoreError> {
+    match fs::remove_dir_all(path) {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(StoreError::io(path, "remove")(e)),
+        _ => Ok(()),
+    }
+}
+
+/// The names in a folder, sorted; empty where there is no folder.
+pub(crate) fn names_in(path: &Path) -> Result<Vec<String>, StoreError> {
+    let entries = match fs::read_dir(path) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(e) => return Err(StoreError::io(path, "list")(e)),
+    };
+    let mut names = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(StoreError::io(path, "list"))?;
+        names.push(entry.file_name().to_string_lossy().into_owned());
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Every file below a folder with its length, sorted by path.
+pub(crate) fn list_files(root: &Path) -> Result<Vec<(PathBuf, u64)>, StoreError> {
+    let (mut files, mut folders) = (Vec::new(), vec![root.to_owned()]);
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).map_err(StoreError::io(&folder, "list"))? {
+            let entry = entry.map_err(StoreError::io(&folder, "list"))?;
+            let metadata = entry.metadata().map_err(StoreError::io(&folder, "list"))?;
+            match metadata.is_dir() {
+                true => folders.push(entry.path()),
+                false => files.push((entry.path(), metadata.len())),
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}

@@ -1,0 +1,278 @@
+//! Writing a store: batches of spans in, shards out, a commit every few steps.
+//!
+//! Digests and zstd run in parallel; look-ups and appends follow the order of the batch, so that the bytes do not
+//! depend on the number of threads. Whatever is not complete lies in `.partial`, whose state is replaced at each
+//! commit; the header is replaced after it, and so never speaks of what is not there.
+
+use std::{
+    collections::BTreeMap,
+    fs::{self, File},
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+use crate::arrays::{ArrayId, ShardId};
+use crate::{
+    SpanWrite, StoreDescription, StoreError, Totals,
+    arrays::{ArrayKind, SpanChunkId},
+    cache::ByteCache,
+    chunk,
+    digest::{DigestEntry, DigestTable, MAX_DIGESTS},
+    files,
+    header::Header,
+    journal,
+    put::Put,
+    shard::{OpenShard, ShardFile},
+    spans::SpanChunk,
+};
+
+/// Writes one store; see the crate's documentation for the order of calls.
+///
+/// A writer that is dropped leaves a store that opens up to the last commit and that
+/// [`StoreWriter::resume`] goes on with.
+#[derive(Debug)]
+pub struct StoreWriter {
+    pub(crate) root: PathBuf,
+    pub(crate) header: Header,
+    pub(crate) description_crc: u32,
+    /// Steps committed, or below the one that a resume starts with.
+    pub(crate) num_steps_put: u32,
+    /// `[variable][level][node]`: the step up to which spans were put.
+    pub(crate) covered: Vec<Vec<Vec<u32>>>,
+    /// In the order of `Header::each_window`.
+    pub(crate) windows: BTreeMap<(u16, u8, u32), OpenWindow>,
+    pub(crate) digests: DigestTable,
+    /// Digests since the last commit.
+    pub(crate) new_digests: Vec<u8>,
+    pub(crate) num_digests: u64,
+    pub(crate) digests_crc: u32,
+    pub(crate) digest_file: File,
+    pub(crate) closed_shards: ByteCache<ShardId, ShardFile>,
+    /// Set while a put or commit is under way, and left so by one that failed.
+    pub(crate) failed: bool,
+}
+
+/// The open shards of one (variable, level, window).
+#[derive(Debug, Default)]
+pub(crate) struct OpenWindow {
+    pub num_shards_closed: u32,
+    pub span_chunks: BTreeMap<u32, SpanChunk>,
+    pub shards: BTreeMap<(ArrayKind, u32), OpenShard>,
+}
+
+impl StoreWriter {
+    /// Starts a store. The folder must not exist, or be empty, or with `overwrite` be a store.
+    ///
+    /// # Errors
+    /// [`StoreError::InvalidArgument`] if the folder is in the way or the description is not sound,
+    /// [`StoreError::Io`] if the system refuses.
+    pub fn create(path: &Path, description: &StoreDescription, overwrite: bool) -> Result<Self, StoreError> {
+        let header = Header::of_description(description, chunk::ZSTD_LEVEL)?;
+        make_room(path, overwrite)?;
+        let journal = path.join(journal::FOLDER);
+        fs::create_dir_all(&journal).map_err(StoreError::io(&journal, "create"))?;
+        for (folder, text) in header.children()? {
+            let folder = path.join(folder);
+            fs::create_dir_all(&folder).map_err(StoreError::io(&folder, "create"))?;
+            let file = folder.join("zarr.json");
+            fs::write(&file, text).map_err(StoreError::io(&file, "write"))?;
+        }
+        for level in 0..header.levels.len() as u8 {
+            let mut nodes: Vec<u8> =
+                description.tree.nodes(level).iter().flat_map(|morton| morton.to_le_bytes()).collect();
+            nodes.extend_from_slice(&crc32c::crc32c(&nodes).to_le_bytes());
+            let file = path.join(nodes_file(level));
+            fs::write(&file, nodes).map_err(StoreError::io(&file, "write"))?;
+        }
+        let mut writer = Self::fresh(path, header)?;
+        writer.write_state()?;
+        writer.write_header()?;
+        Ok(writer)
+    }
+
+    /// A writer of which nothing is put yet.
+    pub(crate) fn fresh(path: &Path, header: Header) -> Result<Self, StoreError> {
+        let digest_path = path.join(journal::FOLDER).join("digests");
+        let digest_file = File::options()
+            .append(true)
+            .create(true)
+            .open(&digest_path)
+            .map_err(StoreError::io(&digest_path, "open"))?;
+        let per_level = || header.levels.iter().map(|level| vec![0; level.num_nodes]).collect();
+        let covered = header.variables.iter().map(|_| per_level()).collect();
+        let windows = header.each_window().map(|key| (key, OpenWindow::default())).collect();
+        let description_crc = crc32c::crc32c(header.to_text()?.as_bytes());
+        Ok(Self {
+            root: path.to_owned(),
+            header,
+            description_crc,
+            num_steps_put: 0,
+            covered,
+            windows,
+            digests: DigestTable::new(MAX_DIGESTS),
+            new_digests: Vec::new(),
+            num_digests: 0,
+            digests_crc: 0,
+            digest_file,
+            closed_shards: ByteCache::new(16 << 20, 64),
+            failed: false,
+        })
+    }
+
+    /// The header as it stands.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The step up to which spans of a node were put; its next span starts there.
+    ///
+    /// # Panics
+    /// If variable, level or node is out of range.
+    pub fn covered_until(&self, variable: usize, level: u8, node_rank: u32) -> u32 {
+        self.covered[variable][usize::from(level)][node_rank as usize]
+    }
+
+    /// Appends a batch of spans of one variable and level. Each node's spans come in the order of time, without gaps;
+    /// nodes come in any order that does not depend on threads or memory, since bytes are stored in the order of
+    /// arrival (Morton order within a step reads fastest).
+    ///
+    /// # Errors
+    /// [`StoreError::InvalidArgument`] if a span does not follow the one before it or contradicts the description,
+    /// [`StoreError::Io`] if the system refuses. After an error the writer is only good for
+    /// [`Self::abandon`].
+    pub fn put(&mut self, variable: usize, level: u8, batch: Vec<SpanWrite>) -> Result<(), StoreError> {
+        self.begin()?;
+        Put::new(self, variable, level, batch)?.run()?;
+        self.failed = false;
+        Ok(())
+    }
+
+    /// Says that nothing more will be put before step `step + 1` is read. Every G steps, and after the last, what is
+    /// complete becomes part of the store, and everything put so far survives a crash.
+    ///
+    /// # Errors
+    /// [`StoreError::InvalidArgument`] if steps are committed out of order or spans are missing at the last one,
+    /// [`StoreError::Io`] if the system refuses.
+    pub fn commit_step(&mut self, step: u32) -> Result<(), StoreError> {
+        let (num_put, num_steps) = (step.saturating_add(1), self.header.num_steps());
+        if num_put > num_steps || num_put <= self.num_steps_put {
+            let remedy = format!("steps {} to {} are left", self.num_steps_put, num_steps - 1);
+            return Err(StoreError::invalid("step to commit", step, remedy));
+        }
+        if num_put % self.header.steps_per_shard == 0 || num_put == num_steps {
+            self.begin()?;
+            self.commit(num_put)?;
+            self.failed = false;
+        }
+        self.num_steps_put = num_put;
+        Ok(())
+    }
+
+    /// Completes the store once every step is committed, and removes the journal.
+    ///
+    /// # Errors
+    /// [`StoreError::InvalidArgument`] if steps are missing, [`StoreError::Io`] if the system refuses.
+    pub fn finish(self) -> Result<Totals, StoreError> {
+        if self.num_steps_put < self.header.num_steps() {
+            let remedy = format!("the series has {} steps", self.header.num_steps());
+            return Err(StoreError::invalid("number of steps committed", self.num_steps_put, remedy));
+        }
+        let Self { root, header, digest_file, .. } = self;
+        drop(digest_file);
+        files::remove_folder(&root.join(journal::FOLDER))?;
+        files::sync_folder(&root)?;
+        Ok(header.totals)
+    }
+
+    /// Gives up after a failure. Where no step was finished the folder is removed; else it is renamed from
+    /// `NAME.cxl` to `NAME.partial.cxl`, whose path is returned: it opens up to the last finished step, and
+    /// [`Self::resume`] finds it.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`] if the system refuses.
+    pub fn abandon(self) -> Result<Option<PathBuf>, StoreError> {
+        let Self { root, header, windows, digest_file, closed_shards, .. } = self;
+        drop((windows, digest_file, closed_shards));
+        if header.num_steps_finished == 0 {
+            files::remove_folder(&root)?;
+            return Ok(None);
+        }
+        let partial = partial_path(&root);
+        files::remove_folder(&partial)?;
+        files::rename(&root, &partial)?;
+        Ok(Some(partial))
+    }
+
+    fn begin(&mut self) -> Result<(), StoreError> {
+        match std::mem::replace(&mut self.failed, true) {
+            false => Ok(()),
+            true => Err(StoreError::invalid("writer", "failed", "abandon it, and resume the store")),
+        }
+    }
+
+    pub(crate) fn journal_path(&self, relative: &str) -> PathBuf {
+        self.root.join(journal::FOLDER).join(relative.replace('/', "!"))
+    }
+
+    pub(crate) fn spans_id(&self, key: (u16, u8, u32), shard: u32) -> SpanChunkId {
+        SpanChunkId { variable: key.0, level: key.1, window: key.2, shard }
+    }
+
+    pub(crate) fn shard_id(&self, key: (u16, u8, u32), kind: ArrayKind, shard: u32) -> ShardId {
+        ShardId { array: ArrayId { variable: key.0, level: key.1, window: key.2, kind }, shard }
+    }
+
+    pub(crate) fn remember(&mut self, entry: DigestEntry) {
+        self.digests.insert(entry);
+        self.new_digests.extend_from_slice(&entry.to_bytes());
+        self.num_digests += 1;
+    }
+
+    /// Makes the journal's digests as long as the state will say.
+    pub(crate) fn write_digests(&mut self) -> Result<(), StoreError> {
+        let path = self.journal_path("digests");
+        self.digest_file.write_all(&self.new_digests).map_err(StoreError::io(&path, "write"))?;
+        self.digest_file.sync_data().map_err(StoreError::io(&path, "sync"))?;
+        self.digests_crc = crc32c::crc32c_append(self.digests_crc, &self.new_digests);
+        self.new_digests.clear();
+        Ok(())
+    }
+
+    pub(crate) fn write_header(&self) -> Result<(), StoreError> {
+        let temporary = self.journal_path("zarr.json");
+        files::write_synced(&temporary, self.header.to_text()?.as_bytes())?;
+        files::rename(&temporary, &self.root.join("zarr.json"))?;
+        files::sync_folder(&self.root)
+    }
+}
+
+/// The file of a level's nodes, relative to the store.
+pub(crate) fn nodes_file(level: u8) -> String {
+    format!("nodes/L{level}/c.0")
+}
+
+/// `NAME.partial.cxl` for `NAME.cxl`.
+pub(crate) fn partial_path(root: &Path) -> PathBuf {
+    let name = root.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let stem = name.strip_suffix(".cxl").unwrap_or(&name);
+    root.with_file_name(format!("{stem}.partial.cxl"))
+}
+
+/// Removes what is in the way of a new store, if that is allowed.
+fn make_room(path: &Path, overwrite: bool) -> Result<(), StoreError> {
+    let in_the_way = |what: &str, remedy: &str| {
+        Err(StoreError::invalid("output", format!("{}, {what}", path.display()), remedy))
+    };
+    if path.is_file() {
+        return in_the_way("a file", "give the name of a folder");
+    }
+    let names = files::names_in(path)?;
+    let is_store = names.iter().any(|name| name == journal::FOLDER)
+        || fs::read_to_string(path.join("zarr.json")).is_ok_and(|text| text.contains("\"chronoxel\""));
+    match (names.is_empty(), is_store, overwrite) {
+        (true, ..) => Ok(()),
+        (false, true, true) => files::remove_folder(path),
+        (false, true, false) => in_the_way("a store", "overwrite it, resume it, or give another name"),
+        (false, false, _) => in_the_way("a folder that is not a store", "give another name"),
+    }
+}
