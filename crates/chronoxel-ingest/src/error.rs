@@ -204,7 +204,11 @@ impl SourceError {
 
     /// The caller asked for something that cannot be done.
     pub(crate) fn argument(argument: &'static str, value: impl ToString, remedy: impl Into<String>) -> Self {
-        Self::InvalidArgument { argument, value: quoted(&value.to_string()), remedy: on_one_line(&remedy.into()) }
+        Self::InvalidArgument {
+            argument,
+            value: quoted(&value.to_string()),
+            remedy: on_one_line(&remedy.into()),
+        }
     }
 
     /// What failed while bytes came through a [`std::io::Read`]: the operating system, or a decoder
