@@ -9,21 +9,25 @@
 mod blosc;
 mod chunks;
 mod codecs;
+mod layers;
 mod metadata;
 
 use std::path::{Path, PathBuf};
 
-use chronoxel_core::{Samples, UniformGrid};
+use chronoxel_core::UniformGrid;
 
 use self::chunks::ChunkReader;
+use self::layers::{KeptLayers, LayerReader};
 use self::metadata::{ArrayMetadata, Node};
 use super::SourceOptions;
-use super::samples::SampleFormat;
 use super::volume_file::{FileHeader, FileTimes, VolumeFile, checked_grid, checked_product, checked_steps};
 use crate::{SourceError, StepReader, Variable};
 
 /// The most bytes that the chunks of one layer of a volume may have, decoded.
 const MAX_LAYER_BYTES: u64 = 4 << 30;
+
+/// The most bytes of decoded samples that are kept for later steps, where chunks hold several.
+const MAX_KEPT_BYTES: u64 = 512 << 20;
 
 /// The longest array of coordinates that is read.
 const MAX_COORDINATES: u64 = 1 << 24;
@@ -35,6 +39,8 @@ const EVEN_TOLERANCE: f64 = 1e-3;
 struct ZarrGroup {
     header: FileHeader,
     arrays: Vec<ArrayMetadata>,
+    /// Per array: decoded layers of a run of steps.
+    kept: Vec<KeptLayers>,
 }
 
 /// Opens an array or a group.
@@ -84,7 +90,9 @@ pub(crate) fn open(path: &Path, options: &SourceOptions) -> Result<Box<dyn Volum
         });
     }
     let header = FileHeader { path: path.to_owned(), grid, variables, num_steps, times, time_units };
-    Ok(Box::new(ZarrGroup { header, arrays: arrays.into_iter().map(|(_, array)| array).collect() }))
+    let arrays: Vec<ArrayMetadata> = arrays.into_iter().map(|(_, array)| array).collect();
+    let kept = arrays.iter().map(|_| KeptLayers::default()).collect();
+    Ok(Box::new(ZarrGroup { header, arrays, kept }))
 }
 
 /// The arrays of three or four axes right inside a group, by name; only those wanted.
@@ -256,111 +264,8 @@ impl VolumeFile for ZarrGroup {
         variable: usize,
         step: usize,
     ) -> Result<Box<dyn StepReader + 'a>, SourceError> {
-        let array = &self.arrays[variable];
-        Ok(Box::new(LayerReader {
-            array,
-            chunks: ChunkReader::new(array),
-            dims: self.header.grid.dims,
-            step: (array.shape.len() == 4).then_some(step),
-            next_slice: 0,
-            layer_start: 0,
-            layer: SampleFormat::scalar(array.sample_type, false).empty(),
-        }))
-    }
-}
-
-/// Reads a step layer by layer; a layer is as high as a chunk.
-struct LayerReader<'a> {
-    array: &'a ArrayMetadata,
-    chunks: ChunkReader<'a>,
-    dims: [usize; 3],
-    /// `None` where the array has no time axis.
-    step: Option<usize>,
-    next_slice: usize,
-    /// The first slice of `layer`.
-    layer_start: usize,
-    layer: Samples,
-}
-
-impl StepReader for LayerReader<'_> {
-    fn read_slices(&mut self, num_slices: usize) -> Result<Samples, SourceError> {
-        let slice_samples = self.dims[0] * self.dims[1];
-        let end = self.next_slice + num_slices;
-        let mut out = SampleFormat::scalar(self.array.sample_type, false).empty();
-        while self.next_slice < end {
-            let have = self.layer_start + self.layer.len() / slice_samples;
-            if self.next_slice >= have {
-                self.read_layer()?;
-                continue;
-            }
-            let taken = (end - self.next_slice).min(have - self.next_slice);
-            let from = (self.next_slice - self.layer_start) * slice_samples;
-            let range = from..from + taken * slice_samples;
-            match (&mut out, &self.layer) {
-                (Samples::F32(out), Samples::F32(layer)) => out.extend_from_slice(&layer[range]),
-                (Samples::F64(out), Samples::F64(layer)) => out.extend_from_slice(&layer[range]),
-                _ => unreachable!("both are of the kind that the sample type becomes"),
-            }
-            self.next_slice += taken;
-        }
-        Ok(out)
-    }
-}
-
-impl LayerReader<'_> {
-    /// Reads the layer of chunks that the next slice is in.
-    fn read_layer(&mut self) -> Result<(), SourceError> {
-        let [nx, ny, nz] = self.dims;
-        let first_axis = usize::from(self.step.is_some());
-        let [cz, cy, cx] = [0, 1, 2].map(|axis| self.array.chunk[first_axis + axis] as usize);
-        let chunk_z = self.next_slice / cz;
-        self.layer_start = chunk_z * cz;
-        let height = cz.min(nz - self.layer_start);
-        let absent = self.array.absent_value;
-        let mut layer = match SampleFormat::scalar(self.array.sample_type, false).empty() {
-            Samples::F32(_) => Samples::F32(vec![absent as f32; height * ny * nx]),
-            Samples::F64(_) => Samples::F64(vec![absent; height * ny * nx]),
-        };
-        for chunk_y in 0..ny.div_ceil(cy) {
-            for chunk_x in 0..nx.div_ceil(cx) {
-                let mut place: Vec<u64> =
-                    self.step.iter().map(|&step| step as u64 / self.array.chunk[0]).collect();
-                place.extend([chunk_z, chunk_y, chunk_x].map(|at| at as u64));
-                let Some(samples) = self.chunks.read(&place)? else { continue };
-                let (y, x) = (chunk_y * cy, chunk_x * cx);
-                let size = [height, cy.min(ny - y), cx.min(nx - x)];
-                match (&mut layer, &samples) {
-                    (Samples::F32(to), Samples::F32(from)) => self.place(from, to, [y, x], size),
-                    (Samples::F64(to), Samples::F64(from)) => self.place(from, to, [y, x], size),
-                    _ => unreachable!("both are of the kind that the sample type becomes"),
-                }
-            }
-        }
-        self.layer = layer;
-        Ok(())
-    }
-
-    /// Copies the part of a chunk that is inside the volume to where it belongs in the layer.
-    ///
-    /// * `corner`: y and x of the chunk's first sample
-    /// * `size`: samples inside along z, y, x
-    fn place<T: Copy>(&self, from: &[T], to: &mut [T], corner: [usize; 2], size: [usize; 3]) {
-        let [nx, ny, _] = self.dims;
-        let first_axis = usize::from(self.step.is_some());
-        let strides = self.array.chunk_strides();
-        let [sz, sy, sx] = [0, 1, 2].map(|axis| strides[first_axis + axis]);
-        let step_start = self.step.map_or(0, |step| step % self.array.chunk[0] as usize * strides[0]);
-        for z in 0..size[0] {
-            for y in 0..size[1] {
-                let row = step_start + z * sz + y * sy;
-                let start = (z * ny + corner[0] + y) * nx + corner[1];
-                let out = &mut to[start..start + size[2]];
-                if sx == 1 {
-                    out.copy_from_slice(&from[row..row + size[2]]);
-                } else {
-                    out.iter_mut().enumerate().for_each(|(x, sample)| *sample = from[row + x * sx]);
-                }
-            }
-        }
+        let most_kept_bytes = MAX_KEPT_BYTES / self.arrays.len() as u64;
+        let (array, kept) = (&self.arrays[variable], &mut self.kept[variable]);
+        Ok(Box::new(LayerReader::new(array, kept, most_kept_bytes, self.header.grid.dims, step)))
     }
 }
