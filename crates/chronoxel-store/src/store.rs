@@ -225,7 +225,7 @@ impl Store {
                 }
             }
         }
-        for (index, stage, bytes) in self.read_chunks(wanted) {
+        for Chunk { index, stage, bytes } in self.read_chunks(wanted) {
             match (&mut results[index], bytes) {
                 (Ok(stages), Ok(bytes)) => stages[stage] = bytes,
                 (result @ Ok(_), Err(error)) => *result = Err(error),
@@ -256,7 +256,7 @@ impl Store {
         let Some(at) = span.mask else { return Ok(None) };
         let array = ArrayId { variable: variable as u16, level, window: span.window, kind: ArrayKind::Mask };
         let place = self.place(array, at, span.start);
-        let Some((_, _, bytes)) = self.read_chunks(vec![(place, 0, 0)]).pop() else { return Ok(None) };
+        let Some(Chunk { bytes, .. }) = self.read_chunks(vec![(place, 0, 0)]).pop() else { return Ok(None) };
         let bytes = bytes?;
         let unused = bytes.len() * 8 - self.header.bricks.num_full();
         if bytes.last().is_some_and(|last| unused > 0 && last >> (8 - unused) != 0) {
@@ -339,10 +339,7 @@ impl Store {
     }
 
     /// Reads inner chunks, those of a shard in the order in which they lie in it.
-    fn read_chunks(
-        &self,
-        mut wanted: Vec<(Place, usize, usize)>,
-    ) -> Vec<(usize, usize, Result<Vec<u8>, StoreError>)> {
+    fn read_chunks(&self, mut wanted: Vec<(Place, usize, usize)>) -> Vec<Chunk> {
         wanted.sort_unstable_by_key(|(place, ..)| (place.shard, place.slot));
         let mut results = Vec::with_capacity(wanted.len());
         for same_shard in wanted.chunk_by(|a, b| a.0.shard == b.0.shard) {
@@ -358,7 +355,10 @@ impl Store {
                 };
                 match extent {
                     Ok(extent) => extents.push((extent, place, index, stage)),
-                    Err(problem) => results.push((index, stage, Err(self.place_error(&place, problem)))),
+                    Err(problem) => {
+                        let bytes = Err(self.place_error(&place, problem));
+                        results.push(Chunk { index, stage, bytes });
+                    }
                 }
             }
             extents.sort_unstable_by_key(|(extent, ..)| *extent);
@@ -374,7 +374,7 @@ impl Store {
         &self,
         shard: &ShardFile,
         extents: &[([u64; 2], Place, usize, usize)],
-        results: &mut Vec<(usize, usize, Result<Vec<u8>, StoreError>)>,
+        results: &mut Vec<Chunk>,
     ) {
         let mut rest = extents;
         while let Some(&([start, first_len], ..)) = rest.first() {
@@ -396,7 +396,7 @@ impl Store {
                     let stored = &bytes[from..from + len as usize];
                     shard.decode(stored).map_err(|problem| self.place_error(&place, problem))
                 });
-                (index, stage, decoded)
+                Chunk { index, stage, bytes: decoded }
             });
             results.par_extend(decoded);
         }
@@ -427,6 +427,15 @@ impl Store {
             problem,
         }
     }
+}
+
+/// The bytes of a stage or a mask that was asked for.
+struct Chunk {
+    /// Which of the spans asked for.
+    index: usize,
+    /// Which of its stages.
+    stage: usize,
+    bytes: Result<Vec<u8>, StoreError>,
 }
 
 /// Where an inner chunk is looked for.
@@ -464,7 +473,12 @@ pub(crate) fn find_header(root: &Path) -> Result<Option<Header>, StoreError> {
 }
 
 /// The Morton indices of a level, checked against its bricks.
-fn read_nodes(root: &Path, level: u8, num_nodes: usize, bricks: [usize; 3]) -> Result<Vec<u64>, StoreError> {
+pub(crate) fn read_nodes(
+    root: &Path,
+    level: u8,
+    num_nodes: usize,
+    bricks: [usize; 3],
+) -> Result<Vec<u64>, StoreError> {
     let path = root.join(nodes_file(level));
     let due = 8 * num_nodes as u64 + 4;
     let Some(bytes) = files::read_whole(&path, due)? else {

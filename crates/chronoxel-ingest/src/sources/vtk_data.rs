@@ -301,6 +301,13 @@ impl<R: BufRead> Read for Base64<R> {
     }
 }
 
+/// Decodes a whole text; `None` if it is not base64.
+pub(crate) fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let mut out = Vec::new();
+    Base64::new(text.as_bytes()).read_to_end(&mut out).ok()?;
+    Some(out)
+}
+
 /// Decodes four characters to the end of three bytes; gives how many bytes they stand for.
 fn decode_quad(quad: [u8; 4], decoded: &mut [u8; 3]) -> Result<usize> {
     let padding = quad.iter().rev().take_while(|&&c| c == b'=').count();

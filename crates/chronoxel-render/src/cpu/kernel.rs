@@ -87,7 +87,7 @@ pub fn kernel_name() -> &'static str {
 pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
     let (lit, masked) = (job.light.is_some(), job.mask.is_some());
     #[cfg(target_arch = "x86_64")]
-    if !plain && std::arch::is_x86_feature_detected!("avx2") {
+    if !plain && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
         return match (lit, masked) {
             (false, false) => march_avx2::<false, false>,
             (false, true) => march_avx2::<false, true>,
@@ -116,7 +116,7 @@ pub(super) fn sample_interval(region: &LevelBox, packet: &Packet) -> [F8; 2] {
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,popcnt")]
 unsafe fn march_avx2<const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
     // SAFETY: AVX2 was detected.
     unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, packet) }
@@ -251,18 +251,16 @@ unsafe fn interpolate<L: Lanes>(samples: &[i16], full_edge: usize, cells: &Cells
     }
 }
 
-/// Premultiplied colour and alpha of interpolated samples.
+/// Offsets in the table, in bytes, of the colours of interpolated samples.
 #[inline(always)]
-unsafe fn classify<L: Lanes>(job: &BrickJob, sample: L::F) -> [L::F; 4] {
-    // SAFETY: the index is kept inside the table, NaN included (`max` gives its second argument then); the rest as
-    // the caller guarantees for L.
+unsafe fn table_offsets<L: Lanes>(job: &BrickJob, sample: L::F) -> I8 {
+    // SAFETY: as the caller guarantees for L.
     unsafe {
         let [factor, offset] = job.index_from_sample;
         let index = L::add(L::mul(sample, L::splat(factor)), L::splat(offset));
         let last = L::splat((job.table.len() - 1) as f32);
-        let mut indices = I8::default();
-        L::store_int(L::to_int(L::min(L::max(index, L::splat(0.0)), last)), &mut indices);
-        L::rows(job.table.as_ptr(), &indices)
+        // Inside the table, NaN included: `max` gives its second argument then.
+        L::row_offsets(L::min(L::max(index, L::splat(0.0)), last))
     }
 }
 
@@ -385,23 +383,128 @@ unsafe fn skip_hidden<L: Lanes>(
     }
 }
 
+/// Eight samples that were found, and not yet composited.
+struct Look<L: Lanes> {
+    cells: Cells<L>,
+    /// Lanes that are still before the end of their run.
+    in_range: L::F,
+    /// Of those, lanes that are not masked.
+    shown: L::F,
+    table_offsets: I8,
+}
+
+/// Samples at `k`; those out of range are read inside the brick, and not used.
+#[inline(always)]
+unsafe fn look<L: Lanes, const MASKED: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    k: L::F,
+    limit: L::F,
+) -> Look<L> {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let places = [rays.place(0, k), rays.place(1, k), rays.place(2, k)];
+        let cells = cells_at::<L>(places, job);
+        let in_range = L::less(k, limit);
+        let shown = match job.mask {
+            Some(mask) if MASKED => L::and(in_range, unmasked::<L>(mask, places, job)),
+            _ => in_range,
+        };
+        let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
+        Look { table_offsets: table_offsets::<L>(job, sample), cells, in_range, shown }
+    }
+}
+
+/// What the rays of a packet have gathered.
+struct Gathered<L: Lanes> {
+    color: [L::F; 3],
+    transmittance: L::F,
+}
+
+/// Puts samples behind what was gathered.
+#[inline(always)]
+unsafe fn composite<L: Lanes, const LIT: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    look: &Look<L>,
+    alive: L::F,
+    gathered: &mut Gathered<L>,
+) {
+    // SAFETY: `table_offsets` lie inside the table; the rest as the caller guarantees for L.
+    unsafe {
+        let [r, g, b, alpha] = L::rows(job.table.as_ptr(), &look.table_offsets);
+        let weight = L::and(L::and(look.shown, alive), gathered.transmittance);
+        let opacity = L::mul(weight, alpha);
+        gathered.transmittance = L::sub(gathered.transmittance, opacity);
+        let [red, green, blue] = &mut gathered.color;
+        match &job.light {
+            Some(light) if LIT => {
+                if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
+                    return;
+                }
+                let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &look.cells);
+                let (lit, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
+                *red = L::add(*red, L::add(L::mul(lit, r), white));
+                *green = L::add(*green, L::add(L::mul(lit, g), white));
+                *blue = L::add(*blue, L::add(L::mul(lit, b), white));
+            }
+            _ => {
+                *red = L::add(*red, L::mul(weight, r));
+                *green = L::add(*green, L::mul(weight, g));
+                *blue = L::add(*blue, L::mul(weight, b));
+            }
+        }
+    }
+}
+
+/// Takes samples from `k` on until every ray is at its limit or ends; returns where that is, and their number.
+///
+/// A sample is looked up while the one before it is composited: the two do not wait for each other.
+#[inline(always)]
+unsafe fn run<L: Lanes, const LIT: bool, const MASKED: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    mut k: L::F,
+    limit: L::F,
+    gathered: &mut Gathered<L>,
+) -> (L::F, u64) {
+    let mut num_samples = 0;
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let (one, least) = (L::splat(1.0), L::splat(LEAST_TRANSMITTANCE));
+        let mut here = look::<L, MASKED>(job, rays, k, limit);
+        loop {
+            let alive = L::less(least, gathered.transmittance);
+            let lanes = L::bits(L::and(here.in_range, alive));
+            if lanes == 0 {
+                return (k, num_samples);
+            }
+            num_samples += u64::from(lanes.count_ones());
+            k = L::add(k, one);
+            let next = look::<L, MASKED>(job, rays, k, limit);
+            composite::<L, LIT>(job, rays, &here, alive, gathered);
+            here = next;
+        }
+    }
+}
+
 #[inline(always)]
 unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
     let mut num_samples = 0;
     // SAFETY: as the caller guarantees for L.
     unsafe {
         let [first, end] = interval::<L>(&job.region, packet);
-        let (half, one, least) = (L::splat(0.5), L::splat(1.0), L::splat(LEAST_TRANSMITTANCE));
-        let mut transmittance = L::load(&packet.transmittance);
+        let least = L::splat(LEAST_TRANSMITTANCE);
+        let transmittance = L::load(&packet.transmittance);
         if L::bits(L::and(L::less(first, end), L::less(least, transmittance))) == 0 {
             return 0;
         }
         let rays = Rays::<L>::new(job, packet);
-        let (mut k, mut limit) = (L::add(first, half), end);
-        let [mut red, mut green, mut blue] =
-            [L::load(&packet.color[0]), L::load(&packet.color[1]), L::load(&packet.color[2])];
+        let [r, g, b] = &packet.color;
+        let mut gathered = Gathered::<L> { color: [L::load(r), L::load(g), L::load(b)], transmittance };
+        let (mut k, mut limit) = (L::add(first, L::splat(0.5)), end);
         loop {
-            let alive = L::less(least, transmittance);
+            let alive = L::less(least, gathered.transmittance);
             if let Some(blocks) = job.blocks {
                 k = skip_hidden::<L>(job, blocks, &rays, k, end, alive);
                 limit = L::min(L::add(k, L::splat(RUN)), end);
@@ -409,44 +512,14 @@ unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, p
             if L::bits(L::and(L::less(k, end), alive)) == 0 {
                 break;
             }
-            loop {
-                let mut active = L::and(L::less(k, limit), L::less(least, transmittance));
-                let lanes = L::bits(active);
-                if lanes == 0 {
-                    break;
-                }
-                num_samples += u64::from(lanes.count_ones());
-                let places = [rays.place(0, k), rays.place(1, k), rays.place(2, k)];
-                k = L::add(k, one);
-                let cells = cells_at::<L>(places, job);
-                if MASKED && let Some(mask) = job.mask {
-                    active = L::and(active, unmasked::<L>(mask, places, job));
-                }
-                let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
-                let [r, g, b, alpha] = classify::<L>(job, sample);
-                let weight = L::and(active, transmittance);
-                let opacity = L::mul(weight, alpha);
-                transmittance = L::sub(transmittance, opacity);
-                if LIT && let Some(light) = &job.light {
-                    if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
-                        continue;
-                    }
-                    let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &cells);
-                    let (color, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
-                    red = L::add(red, L::add(L::mul(color, r), white));
-                    green = L::add(green, L::add(L::mul(color, g), white));
-                    blue = L::add(blue, L::add(L::mul(color, b), white));
-                } else {
-                    red = L::add(red, L::mul(weight, r));
-                    green = L::add(green, L::mul(weight, g));
-                    blue = L::add(blue, L::mul(weight, b));
-                }
-            }
+            let taken;
+            (k, taken) = run::<L, LIT, MASKED>(job, &rays, k, limit, &mut gathered);
+            num_samples += taken;
         }
-        L::store(red, &mut packet.color[0]);
-        L::store(green, &mut packet.color[1]);
-        L::store(blue, &mut packet.color[2]);
-        L::store(transmittance, &mut packet.transmittance);
+        for (color, gathered) in packet.color.iter_mut().zip(gathered.color) {
+            L::store(gathered, color);
+        }
+        L::store(gathered.transmittance, &mut packet.transmittance);
     }
     num_samples
 }

@@ -57,8 +57,10 @@ pub(super) unsafe trait Lanes: Copy {
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> Self::I;
     /// The weighted sum of each pair.
     unsafe fn blend(pairs: Self::I, weights: Self::I) -> Self::F;
+    /// Offsets in bytes of rows of four numbers, from the rows' numbers cut to whole ones; 0 <= a < 2^27.
+    unsafe fn row_offsets(a: Self::F) -> I8;
     /// Rows of a table of four numbers, one array per column.
-    unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [Self::F; 4];
+    unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [Self::F; 4];
     /// Gradients at `gradients + offsets`, interpolated along x, then z, then y.
     unsafe fn gradients(
         gradients: *const [i16; 4],
@@ -173,9 +175,12 @@ unsafe impl Lanes for Plain {
     unsafe fn blend(pairs: I8, weights: I8) -> F8 {
         F8(std::array::from_fn(|i| blend_pair([pairs.0[i] as i16, (pairs.0[i] >> 16) as i16], weights.0[i])))
     }
-    unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [F8; 4] {
+    unsafe fn row_offsets(a: F8) -> I8 {
+        I8(a.0.map(|x| (x as i32) << 4))
+    }
+    unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [F8; 4] {
         // SAFETY: readable, as the trait demands.
-        let rows = indices.0.map(|i| unsafe { *table.add(i as usize) });
+        let rows = offsets.0.map(|o| unsafe { *table.byte_add(o as usize) });
         std::array::from_fn(|c| F8(rows.map(|r| r[c])))
     }
     unsafe fn gradients(
@@ -359,10 +364,17 @@ mod avx2 {
             unsafe { _mm256_cvtepi32_ps(_mm256_madd_epi16(pairs, weights)) }
         }
         #[inline(always)]
-        unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [__m256; 4] {
+        unsafe fn row_offsets(a: __m256) -> I8 {
+            let mut offsets = I8::default();
+            // SAFETY: AVX2 is there.
+            unsafe { Self::store_int(_mm256_slli_epi32::<4>(_mm256_cvttps_epi32(a)), &mut offsets) };
+            offsets
+        }
+        #[inline(always)]
+        unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [__m256; 4] {
             // SAFETY: readable, as the trait demands.
             unsafe {
-                let row = |i: usize| _mm_loadu_ps(table.add(indices.0[i] as usize).cast());
+                let row = |i: usize| _mm_loadu_ps(table.byte_add(offsets.0[i] as usize).cast());
                 transpose([
                     _mm256_set_m128(row(4), row(0)),
                     _mm256_set_m128(row(5), row(1)),

@@ -19,7 +19,7 @@ use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, LightJob, March};
 use table::Table;
-use tile::{Tile, Work};
+use tile::{RaySetup, Tile, Work};
 
 /// How the ray caster goes about it; the picture is the same for every choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -105,12 +105,13 @@ impl<'a> Frame<'a> {
         let (scene, edge) = (self.scene, self.tile_edge);
         let tiles_along = scene.size[0].div_ceil(edge);
         let lists = bin(&jobs, scene.size, edge);
+        let setup = RaySetup::new(scene);
         let draw_tile = |(i, (tile, list)): (usize, (&mut Option<Tile>, &Vec<u32>))| {
             if list.is_empty() {
                 return;
             }
             let corner = [i % tiles_along * edge, i / tiles_along * edge];
-            let tile = tile.get_or_insert_with(|| Tile::new(scene, corner, edge));
+            let tile = tile.get_or_insert_with(|| Tile::new(&setup, corner, edge));
             list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
         };
         self.tiles.par_iter_mut().zip(&lists).enumerate().with_max_len(1).for_each(draw_tile);

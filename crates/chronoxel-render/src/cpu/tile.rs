@@ -1,8 +1,9 @@
 //! A tile of the screen: its rays, and what they have gathered.
 
-use chronoxel_core::{Image, compositing::accumulate_constant};
+use chronoxel_core::{Image, PictureRays, compositing::accumulate_constant};
 
 use crate::Scene;
+use crate::scene::clip_to_box;
 
 use super::Job;
 use super::kernel::{BrickJob, LEAST_TRANSMITTANCE, March, Packet, sample_interval};
@@ -29,12 +30,12 @@ pub(super) struct Tile {
 
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
-    pub fn new(scene: &Scene, corner: [usize; 2], edge: usize) -> Self {
+    pub fn new(setup: &RaySetup, corner: [usize; 2], edge: usize) -> Self {
         let packets_along = PACKET.map(|n| edge / n);
         let packets = (0..packets_along[0] * packets_along[1])
             .map(|i| {
                 let first = [i % packets_along[0] * PACKET[0], i / packets_along[0] * PACKET[1]];
-                packet_at(scene, [corner[0] + first[0], corner[1] + first[1]])
+                setup.packet([corner[0] + first[0], corner[1] + first[1]])
             })
             .collect();
         Self { corner, packets_along, packets, num_samples: 0 }
@@ -51,17 +52,19 @@ impl Tile {
             let [from, to] = job.pixels[a].map(|p| p.saturating_sub(self.corner[a]));
             from / PACKET[a]..to.div_ceil(PACKET[a]).min(self.packets_along[a])
         };
-        for row in range(1) {
-            for column in range(0) {
-                let packet = &mut self.packets[row * self.packets_along[0] + column];
-                match &job.work {
-                    Work::Constant(sample) => cross_constant(&job.region, *sample, packet),
-                    Work::March(march, brick, blocks) => {
-                        let brick = BrickJob { blocks: blocks.as_deref(), ..*brick };
-                        // SAFETY: `march_for` chose a kernel that this CPU has, and the brick's arrays have the sizes
-                        // that `PreparedBrick::new` checked.
-                        self.num_samples += unsafe { march(&brick, packet) };
-                    }
+        let (rows, columns) = (range(1), range(0));
+        let packets_along = self.packets_along[0];
+        let packets = rows.flat_map(|row| columns.clone().map(move |column| row * packets_along + column));
+        match &job.work {
+            Work::Constant(sample) => {
+                packets.for_each(|i| cross_constant(&job.region, *sample, &mut self.packets[i]));
+            }
+            Work::March(march, brick, blocks) => {
+                let brick = BrickJob { blocks: blocks.as_deref(), ..*brick };
+                for i in packets {
+                    // SAFETY: `march_for` chose a kernel that this CPU has, and the brick's arrays have the sizes
+                    // that `PreparedBrick::new` checked.
+                    self.num_samples += unsafe { march(&brick, &mut self.packets[i]) };
                 }
             }
         }
@@ -83,38 +86,62 @@ impl Tile {
     }
 }
 
-/// The rays of eight pixels.
-fn packet_at(scene: &Scene, first: [usize; 2]) -> Packet {
-    let zero = F8::default();
-    let mut packet = Packet {
-        entry: [zero; 3],
-        step: [zero; 3],
-        inverse_step: [F8([1.0; 8]); 3],
-        length: zero,
-        num_samples: zero,
-        color: [zero; 3],
-        transmittance: F8([1.0; 8]),
-    };
-    let dt = scene.step_length();
-    for lane in 0..8 {
-        let pixel = [first[0] + lane % PACKET[0], first[1] + lane / PACKET[0]];
-        if pixel[0] >= scene.size[0] || pixel[1] >= scene.size[1] {
-            continue;
+/// What the rays of a picture have in common.
+pub(super) struct RaySetup<'a> {
+    scene: &'a Scene,
+    rays: PictureRays,
+    bounds: [[f64; 3]; 2],
+    per_spacing: [f64; 3],
+    dt: f64,
+}
+
+impl<'a> RaySetup<'a> {
+    pub fn new(scene: &'a Scene) -> Self {
+        Self {
+            scene,
+            rays: scene.camera.rays(scene.size),
+            bounds: scene.grid.bounds(),
+            per_spacing: scene.grid.spacing.map(|s| 1.0 / s),
+            dt: scene.step_length(),
         }
-        let ray = scene.camera.ray(pixel.map(|p| p as f64 + 0.5), scene.size);
-        let Some([entry, exit]) = scene.clip_to_grid(&ray) else { continue };
-        let world = std::array::from_fn(|a| ray.origin[a] + entry * ray.direction[a]);
-        let voxel = scene.grid.voxel_from_world(world);
-        for (a, place) in voxel.into_iter().enumerate() {
-            let step = (ray.direction[a] * dt / scene.grid.spacing[a]) as f32;
+    }
+
+    /// The rays of the eight pixels from `first` on.
+    fn packet(&self, first: [usize; 2]) -> Packet {
+        let zero = F8::default();
+        let mut packet = Packet {
+            entry: [zero; 3],
+            step: [zero; 3],
+            inverse_step: [F8([1.0; 8]); 3],
+            length: zero,
+            num_samples: zero,
+            color: [zero; 3],
+            transmittance: F8([1.0; 8]),
+        };
+        for lane in 0..8 {
+            let pixel = [first[0] + lane % PACKET[0], first[1] + lane / PACKET[0]];
+            if pixel[0] < self.scene.size[0] && pixel[1] < self.scene.size[1] {
+                self.set_up(&mut packet, lane, pixel);
+            }
+        }
+        packet
+    }
+
+    fn set_up(&self, packet: &mut Packet, lane: usize, pixel: [usize; 2]) {
+        let ray = self.rays.ray(pixel.map(|p| p as f64 + 0.5));
+        let Some([entry, exit]) = clip_to_box(&ray, self.bounds) else { return };
+        let origin = self.scene.grid.origin;
+        for a in 0..3 {
+            let place = (ray.origin[a] - origin[a] + entry * ray.direction[a]) * self.per_spacing[a];
+            let step = (ray.direction[a] * self.dt * self.per_spacing[a]) as f32;
             packet.entry[a].0[lane] = place as f32;
             packet.step[a].0[lane] = step;
             packet.inverse_step[a].0[lane] = if step.abs() < 1e-30 { 1e30 } else { 1.0 / step };
         }
-        packet.length.0[lane] = ((exit - entry) / dt) as f32;
-        packet.num_samples.0[lane] = ((exit - entry) / dt).round() as f32;
+        let length = (exit - entry) / self.dt;
+        packet.length.0[lane] = length as f32;
+        packet.num_samples.0[lane] = length.round() as f32;
     }
-    packet
 }
 
 /// Crosses a box of one colour in closed form, as that many whole samples.
