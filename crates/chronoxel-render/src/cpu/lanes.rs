@@ -53,6 +53,8 @@ pub(super) unsafe trait Lanes: Copy {
     unsafe fn to_int(a: Self::F) -> Self::I;
     /// The two 16-bit weights `(ONE - w, w)` of a fraction in [0, 1], low half first.
     unsafe fn weights(fraction: Self::F) -> Self::I;
+    /// Numbers at `values + indices`.
+    unsafe fn values(values: *const f32, indices: &I8) -> Self::F;
     /// Two neighbouring samples per ray, at `samples + offsets`.
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> Self::I;
     /// The weighted sum of each pair.
@@ -165,6 +167,10 @@ unsafe impl Lanes for Plain {
             let w = (f * WEIGHT_ONE + 0.5) as i32;
             (w << 16) + (WEIGHT_ONE as i32 - w)
         }))
+    }
+    unsafe fn values(values: *const f32, indices: &I8) -> F8 {
+        // SAFETY: readable, as the trait demands.
+        F8(indices.0.map(|i| unsafe { *values.add(i as usize) }))
     }
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> I8 {
         I8(offsets.0.map(|o| {
@@ -351,6 +357,14 @@ mod avx2 {
                 let w = _mm256_cvttps_epi32(_mm256_add_ps(scaled, _mm256_set1_ps(0.5)));
                 let rest = _mm256_sub_epi32(_mm256_set1_epi32(WEIGHT_ONE as i32), w);
                 _mm256_add_epi32(_mm256_slli_epi32::<16>(w), rest)
+            }
+        }
+        #[inline(always)]
+        unsafe fn values(values: *const f32, indices: &I8) -> __m256 {
+            // SAFETY: readable, as the trait demands.
+            unsafe {
+                let at = |i: usize| *values.add(indices.0[i] as usize);
+                _mm256_setr_ps(at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7))
             }
         }
         #[inline(always)]

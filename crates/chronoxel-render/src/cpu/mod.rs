@@ -4,6 +4,7 @@
 //! the screen may see, front to back, and through each with packets of eight rays. Where a sample lies and which brick
 //! owns it follow from the ray alone, so that neither tiles nor threads nor skipping change a pixel.
 
+mod blocks;
 mod kernel;
 mod lanes;
 mod table;
@@ -71,19 +72,19 @@ pub fn render_with(
     let edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
     let setup = RaySetup::new(scene);
     let tiles = bin(&jobs, scene.size, edge);
-    let drawn: Vec<Tile> = tiles
+    let drawn: Vec<_> = tiles
         .into_par_iter()
         .with_max_len(1)
-        .map(|(corner, list)| {
-            let mut tile = Tile::new(&setup, corner, edge);
+        .map_init(Tile::default, |tile, (corner, list)| {
+            tile.begin(&setup, corner, edge);
             list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
-            tile
+            tile.end()
         })
         .collect();
     let mut image = Image::new(scene.size[0], scene.size[1])?;
-    for tile in &drawn {
-        tile.copy_to(&mut image);
-        stats.num_samples += tile.num_samples();
+    for block in &drawn {
+        block.copy_to(&mut image);
+        stats.num_samples += block.num_samples;
     }
     stats.render_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok((image, stats))
@@ -195,7 +196,7 @@ fn march_of<'a>(
         .iter()
         .map(|&range| u8::from(!table.is_transparent_over(range, index_from_sample)))
         .collect();
-    let num_hidden = visible.iter().filter(|v| **v == 0).count();
+    let along_edge = layout.edge / crate::prepared::BLOCK_EDGE;
     let job = BrickJob {
         region,
         samples: &prepared.samples,
@@ -205,12 +206,12 @@ fn march_of<'a>(
         index_from_sample,
         table: &table.entries,
         blocks: None,
-        blocks_along_edge: layout.edge / crate::prepared::BLOCK_EDGE,
+        blocks_along_edge: along_edge,
         mask: prepared.mask.as_ref(),
         light,
     };
     let march: March = kernel::march_for(&job, options.plain);
-    Ok(Some(Work::March(march, job, (num_hidden > 0).then_some(visible))))
+    Ok(Some(Work::March(march, job, blocks::distances(visible, along_edge))))
 }
 
 /// A box in voxels of its level, open at the grid's faces; `None` where it lies on or beyond the far ones.

@@ -14,36 +14,43 @@ const PACKET: [usize; 2] = [4, 2];
 
 /// What is done with a brick.
 pub(super) enum Work<'a> {
-    /// Sampled; with one flag per block that can be seen, where not all can.
-    March(March, BrickJob<'a>, Option<Vec<u8>>),
+    /// Sampled; with the distance of each block to the nearest that can be seen, where not all can.
+    March(March, BrickJob<'a>, Option<Vec<f32>>),
     /// Crossed in closed form: premultiplied colour and alpha of one sample.
     Constant([f32; 4]),
 }
 
-/// The rays of a square of pixels.
+/// The rays of a square of pixels, on one thread after another square's.
+#[derive(Default)]
 pub(super) struct Tile {
     corner: [usize; 2],
+    size: [usize; 2],
     packets_along: [usize; 2],
     packets: Vec<Packet>,
     num_samples: u64,
 }
 
+/// The pixels of a tile that was drawn.
+pub(super) struct PixelBlock {
+    corner: [usize; 2],
+    width: usize,
+    pixels: Vec<[f32; 4]>,
+    pub num_samples: u64,
+}
+
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
-    pub fn new(setup: &RaySetup, corner: [usize; 2], edge: usize) -> Self {
-        let packets_along = PACKET.map(|n| edge / n);
-        let packets = (0..packets_along[0] * packets_along[1])
-            .map(|i| {
-                let first = [i % packets_along[0] * PACKET[0], i / packets_along[0] * PACKET[1]];
-                setup.packet([corner[0] + first[0], corner[1] + first[1]])
-            })
-            .collect();
-        Self { corner, packets_along, packets, num_samples: 0 }
-    }
-
-    /// Samples taken so far.
-    pub fn num_samples(&self) -> u64 {
-        self.num_samples
+    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize) {
+        self.corner = corner;
+        self.size = std::array::from_fn(|a| edge.min(setup.scene.size[a] - corner[a]));
+        self.packets_along = PACKET.map(|n| edge / n);
+        self.num_samples = 0;
+        self.packets.clear();
+        let along = self.packets_along;
+        self.packets.extend((0..along[0] * along[1]).map(|i| {
+            let first = [i % along[0] * PACKET[0], i / along[0] * PACKET[1]];
+            setup.packet([corner[0] + first[0], corner[1] + first[1]])
+        }));
     }
 
     /// Puts a brick behind what was drawn before.
@@ -70,18 +77,28 @@ impl Tile {
         }
     }
 
-    /// Copies the pixels that lie in the picture.
-    pub fn copy_to(&self, image: &mut Image) {
-        for (i, packet) in self.packets.iter().enumerate() {
-            let first = [i % self.packets_along[0] * PACKET[0], i / self.packets_along[0] * PACKET[1]];
-            for lane in 0..8 {
-                let x = self.corner[0] + first[0] + lane % PACKET[0];
-                let y = self.corner[1] + first[1] + lane / PACKET[0];
-                if x < image.width && y < image.height {
-                    let [r, g, b] = packet.color.map(|c| c.0[lane]);
-                    image.pixels[y * image.width + x] = [r, g, b, 1.0 - packet.transmittance.0[lane]];
-                }
+    /// The pixels that lie in the picture.
+    pub fn end(&self) -> PixelBlock {
+        let [width, height] = self.size;
+        let mut pixels = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let row = &self.packets[y / PACKET[1] * self.packets_along[0]..];
+            for x in 0..width {
+                let (packet, lane) = (&row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
+                let [r, g, b] = [&packet.color[0], &packet.color[1], &packet.color[2]].map(|c| c.0[lane]);
+                pixels.push([r, g, b, 1.0 - packet.transmittance.0[lane]]);
             }
+        }
+        PixelBlock { corner: self.corner, width, pixels, num_samples: self.num_samples }
+    }
+}
+
+impl PixelBlock {
+    /// Copies the pixels to their place.
+    pub fn copy_to(&self, image: &mut Image) {
+        for (row, pixels) in self.pixels.chunks_exact(self.width).enumerate() {
+            let start = (self.corner[1] + row) * image.width + self.corner[0];
+            image.pixels[start..start + self.width].copy_from_slice(pixels);
         }
     }
 }
