@@ -266,15 +266,11 @@ unsafe fn light_terms<L: Lanes>(
     step: &[L::F; 3],
     cells: &Cells<L>,
 ) -> [L::F; 2] {
-    let (mut weights, mut wy, mut wz) = (I8::default(), F8::default(), F8::default());
     // SAFETY: `gradients` has one entry per sample, so that what holds for `interpolate` holds here.
     unsafe {
-        L::store_int(cells.weights_x, &mut weights);
-        L::store(cells.wy, &mut wy);
-        L::store(cells.wz, &mut wz);
         let strides = [job.full_edge, job.full_edge * job.full_edge];
         let start = light.gradients.as_ptr();
-        let difference = L::gradients(start, &cells.offsets, strides, &weights, &wy, &wz);
+        let difference = L::gradients(start, &cells.offsets, strides, cells.weights_x, cells.wy, cells.wz);
         let (mut square, mut product) = (L::splat(0.0), L::splat(0.0));
         for a in 0..3 {
             let gradient = L::mul(difference[a], L::splat(light.world_from_difference[a]));

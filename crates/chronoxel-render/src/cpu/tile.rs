@@ -157,7 +157,8 @@ impl<'a> RaySetup<'a> {
         }
         let length = (exit - entry) / self.dt;
         packet.length.0[lane] = length as f32;
-        packet.num_samples.0[lane] = length.round() as f32;
+        // Rounded: a length is not negative.
+        packet.num_samples.0[lane] = (length + 0.5) as u32 as f32;
     }
 }
 
