@@ -2,6 +2,8 @@
 
 use chronoxel_core::{BitMask, Lighting};
 
+use crate::prepared::BLOCK_EDGE;
+
 use super::lanes::{F8, I8, Lanes, Plain};
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
@@ -53,8 +55,9 @@ pub(super) struct BrickJob<'a> {
     /// Factor and offset from an interpolated sample to the index of its table entry.
     pub index_from_sample: [f32; 2],
     pub table: &'a [[f32; 4]],
-    /// One flag per block, `[z, y, x]`: whether it can be seen. Absent where most can.
-    pub blocks: Option<&'a [u8]>,
+    /// For each block, `[z, y, x]`, how many blocks away the nearest is that can be seen, see
+    /// [`super::blocks`]. Absent where all can.
+    pub blocks: Option<&'a [f32]>,
     pub blocks_along_edge: usize,
     pub mask: Option<&'a BitMask>,
     pub light: Option<LightJob<'a>>,
@@ -272,15 +275,11 @@ unsafe fn light_terms<L: Lanes>(
     step: &[L::F; 3],
     cells: &Cells<L>,
 ) -> [L::F; 2] {
-    let (mut weights, mut wy, mut wz) = (I8::default(), F8::default(), F8::default());
     // SAFETY: `gradients` has one entry per sample, so that what holds for `interpolate` holds here.
     unsafe {
-        L::store_int(cells.weights_x, &mut weights);
-        L::store(cells.wy, &mut wy);
-        L::store(cells.wz, &mut wz);
         let strides = [job.full_edge, job.full_edge * job.full_edge];
         let start = light.gradients.as_ptr();
-        let difference = L::gradients(start, &cells.offsets, strides, &weights, &wy, &wz);
+        let difference = L::gradients(start, &cells.offsets, strides, cells.weights_x, cells.wy, cells.wz);
         let (mut square, mut product) = (L::splat(0.0), L::splat(0.0));
         for a in 0..3 {
             let gradient = L::mul(difference[a], L::splat(light.world_from_difference[a]));
@@ -333,52 +332,52 @@ unsafe fn unmasked<L: Lanes>(mask: &BitMask, places: [L::F; 3], job: &BrickJob) 
 }
 
 /// Moves every ray of `alive` on to its next sample in a block that can be seen, or past `end`.
+///
+/// Around a block at distance `d` from the nearest that can be seen, all blocks up to `d - 1` away are hidden.
 #[inline(always)]
 unsafe fn skip_hidden<L: Lanes>(
     job: &BrickJob,
-    blocks: &[u8],
+    blocks: &[f32],
     rays: &Rays<L>,
     mut k: L::F,
     end: L::F,
     alive: L::F,
 ) -> L::F {
     let along_edge = job.blocks_along_edge;
-    // SAFETY: as the caller guarantees for L.
+    assert!(blocks.len() == along_edge.pow(3), "one distance per block");
+    // SAFETY: each coordinate of a block is kept below `along_edge`; the rest as the caller guarantees for L.
     unsafe {
         let last = L::splat((along_edge - 1) as f32);
-        let edge = L::splat(crate::prepared::BLOCK_EDGE as f32);
-        let inverse_edge = L::splat(1.0 / crate::prepared::BLOCK_EDGE as f32);
-        let zero = L::splat(0.0);
+        let edge = L::splat(BLOCK_EDGE as f32);
+        let inverse_edge = L::splat(1.0 / BLOCK_EDGE as f32);
+        let row = L::splat(along_edge as f32);
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
         loop {
-            let inside = L::bits(L::and(L::less(k, end), alive));
-            if inside == 0 {
-                return k;
-            }
+            let inside = L::and(L::less(k, end), alive);
             let mut block = [zero; 3];
-            let mut exit = L::splat(f32::INFINITY);
             for (a, block) in block.iter_mut().enumerate() {
                 *block = L::min(L::max(L::floor(L::mul(rays.place(a, k), inverse_edge)), zero), last);
-                let ahead = L::select(L::less(rays.step[a], zero), zero, L::splat(1.0));
-                let in_brick = L::mul(L::add(*block, ahead), edge);
-                let plane = L::sub(L::add(in_brick, rays.origin[a]), rays.entry[a]);
-                exit = L::min(L::mul(plane, rays.inverse_step[a]), exit);
             }
-            let row = L::splat(along_edge as f32);
-            let index = L::add(block[0], L::mul(row, L::add(block[1], L::mul(row, block[2]))));
             let mut indices = I8::default();
+            let index = L::add(block[0], L::mul(row, L::add(block[1], L::mul(row, block[2]))));
             L::store_int(L::to_int(index), &mut indices);
-            let mut hidden = 0;
-            for lane in 0..8 {
-                hidden |= u32::from(blocks[indices.0[lane] as usize] == 0) << lane;
-            }
-            hidden &= inside;
-            if hidden == 0 {
+            let distance = L::values(blocks.as_ptr(), &indices);
+            let hidden = L::and(inside, L::less(zero, distance));
+            if L::bits(hidden) == 0 {
                 return k;
+            }
+            let mut exit = L::splat(f32::INFINITY);
+            for a in 0..3 {
+                let ahead = L::add(block[a], distance);
+                let behind = L::add(L::sub(block[a], distance), one);
+                let plane = L::mul(L::select(L::less(rays.step[a], zero), behind, ahead), edge);
+                let way = L::sub(L::add(plane, rays.origin[a]), rays.entry[a]);
+                exit = L::min(L::mul(way, rays.inverse_step[a]), exit);
             }
             // A little before the plane, so that rounding never carries a ray past a sample that is seen.
             let before = L::sub(exit, L::splat(0.5 + 1.0 / 64.0));
-            let next = L::max(L::add(L::ceil(before), L::splat(0.5)), L::add(k, L::splat(1.0)));
-            k = L::select(L::mask_of(hidden), next, k);
+            let next = L::max(L::add(L::ceil(before), L::splat(0.5)), L::add(k, one));
+            k = L::select(hidden, next, k);
         }
     }
 }

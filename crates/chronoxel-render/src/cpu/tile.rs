@@ -14,36 +14,45 @@ const PACKET: [usize; 2] = [4, 2];
 
 /// What is done with a brick.
 pub(super) enum Work<'a> {
-    /// Sampled; with one flag per block that can be seen, where not all can.
-    March(March, BrickJob<'a>, Option<Vec<u8>>),
+    /// Sampled; with the distance of each block to the nearest that can be seen, where not all can.
+    March(March, BrickJob<'a>, Option<Vec<f32>>),
     /// Crossed in closed form: premultiplied colour and alpha of one sample.
     Constant([f32; 4]),
 }
 
-/// The rays of a square of pixels.
+/// The rays of a square of pixels, on one thread after another square's.
+#[derive(Default)]
 pub(super) struct Tile {
     corner: [usize; 2],
+    size: [usize; 2],
     packets_along: [usize; 2],
     packets: Vec<Packet>,
     num_samples: u64,
 }
 
+/// The pixels of a tile that was drawn.
+pub(super) struct PixelBlock {
+    corner: [usize; 2],
+    width: usize,
+    pixels: Vec<[f32; 4]>,
+    pub num_samples: u64,
+}
+
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
-    pub fn new(setup: &RaySetup, corner: [usize; 2], edge: usize) -> Self {
-        let packets_along = PACKET.map(|n| edge / n);
-        let packets = (0..packets_along[0] * packets_along[1])
-            .map(|i| {
-                let first = [i % packets_along[0] * PACKET[0], i / packets_along[0] * PACKET[1]];
-                setup.packet([corner[0] + first[0], corner[1] + first[1]])
-            })
-            .collect();
-        Self { corner, packets_along, packets, num_samples: 0 }
-    }
-
-    /// Samples taken so far.
-    pub fn num_samples(&self) -> u64 {
-        self.num_samples
+    ///
+    /// * `gathered`: what the pixels of the picture hold so far, transmittance in place of alpha
+    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize, gathered: &Image) {
+        self.corner = corner;
+        self.size = std::array::from_fn(|a| edge.min(setup.scene.size[a] - corner[a]));
+        self.packets_along = PACKET.map(|n| edge / n);
+        self.num_samples = 0;
+        self.packets.clear();
+        let along = self.packets_along;
+        self.packets.extend((0..along[0] * along[1]).map(|i| {
+            let first = [i % along[0] * PACKET[0], i / along[0] * PACKET[1]];
+            setup.packet([corner[0] + first[0], corner[1] + first[1]], gathered)
+        }));
     }
 
     /// Puts a brick behind what was drawn before.
@@ -70,18 +79,28 @@ impl Tile {
         }
     }
 
-    /// Copies the pixels that lie in the picture.
-    pub fn copy_to(&self, image: &mut Image) {
-        for (i, packet) in self.packets.iter().enumerate() {
-            let first = [i % self.packets_along[0] * PACKET[0], i / self.packets_along[0] * PACKET[1]];
-            for lane in 0..8 {
-                let x = self.corner[0] + first[0] + lane % PACKET[0];
-                let y = self.corner[1] + first[1] + lane / PACKET[0];
-                if x < image.width && y < image.height {
-                    let [r, g, b] = packet.color.map(|c| c.0[lane]);
-                    image.pixels[y * image.width + x] = [r, g, b, 1.0 - packet.transmittance.0[lane]];
-                }
+    /// The pixels that lie in the picture, transmittance in place of alpha.
+    pub fn end(&self) -> PixelBlock {
+        let [width, height] = self.size;
+        let mut pixels = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let row = &self.packets[y / PACKET[1] * self.packets_along[0]..];
+            for x in 0..width {
+                let (packet, lane) = (&row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
+                let [r, g, b] = [&packet.color[0], &packet.color[1], &packet.color[2]].map(|c| c.0[lane]);
+                pixels.push([r, g, b, packet.transmittance.0[lane]]);
             }
+        }
+        PixelBlock { corner: self.corner, width, pixels, num_samples: self.num_samples }
+    }
+}
+
+impl PixelBlock {
+    /// Copies the pixels to their place.
+    pub fn copy_to(&self, image: &mut Image) {
+        for (row, pixels) in self.pixels.chunks_exact(self.width).enumerate() {
+            let start = (self.corner[1] + row) * image.width + self.corner[0];
+            image.pixels[start..start + self.width].copy_from_slice(pixels);
         }
     }
 }
@@ -107,7 +126,7 @@ impl<'a> RaySetup<'a> {
     }
 
     /// The rays of the eight pixels from `first` on.
-    fn packet(&self, first: [usize; 2]) -> Packet {
+    fn packet(&self, first: [usize; 2], gathered: &Image) -> Packet {
         let zero = F8::default();
         let mut packet = Packet {
             entry: [zero; 3],
@@ -122,6 +141,9 @@ impl<'a> RaySetup<'a> {
             let pixel = [first[0] + lane % PACKET[0], first[1] + lane / PACKET[0]];
             if pixel[0] < self.scene.size[0] && pixel[1] < self.scene.size[1] {
                 self.set_up(&mut packet, lane, pixel);
+                let [r, g, b, transmittance] = gathered.pixels[pixel[1] * gathered.width + pixel[0]];
+                packet.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
+                packet.transmittance.0[lane] = transmittance;
             }
         }
         packet
@@ -140,7 +162,8 @@ impl<'a> RaySetup<'a> {
         }
         let length = (exit - entry) / self.dt;
         packet.length.0[lane] = length as f32;
-        packet.num_samples.0[lane] = length.round() as f32;
+        // Rounded: a length is not negative.
+        packet.num_samples.0[lane] = (length + 0.5) as u32 as f32;
     }
 }
 
