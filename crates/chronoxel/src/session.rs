@@ -9,7 +9,7 @@ use std::{collections::HashMap, path::Path, sync::Arc, time::Instant};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
 
-use chronoxel_codec::decode_resident;
+use chronoxel_codec::{Payload, decode_resident};
 use chronoxel_core::{
     BitMask, BrickLayout, Camera, Image, Lighting, NodeId, Octree, PayloadAddress, ResidentBrick,
     ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
@@ -87,7 +87,11 @@ struct BrickKey {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Content {
-    Coded { class: u8, at: PayloadAddress, step_in_span: u32 },
+    Coded {
+        class: u8,
+        at: PayloadAddress,
+        step_in_span: u32,
+    },
     /// A masked brick of one value, by its bits.
     Constant(u64),
 }
@@ -352,10 +356,19 @@ impl Session {
             .collect()
     }
 
-    /// Reads and decodes bricks, in parallel.
+    /// Reads and decodes bricks: payloads of a level in as few reads as possible, decoding in parallel.
     fn load<'a>(&mut self, wanted: &'a [Wanted], step: u32, lit: bool) -> Vec<(&'a Wanted, Loaded)> {
         let (store, variable) = (&self.store, self.variable);
-        wanted.par_iter().map(|w| (w, load_brick(store, variable, w, step, lit))).collect()
+        let mut loaded = Vec::with_capacity(wanted.len());
+        for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
+            let records: Vec<SpanRecord> = of_level.iter().map(|w| w.record).collect();
+            let payloads = store.read_payloads(variable, of_level[0].node.level, &records);
+            let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
+                (w, payload.map_err(Into::into).and_then(|p| prepare(store, variable, w, p, step, lit)))
+            });
+            loaded.par_extend(prepared);
+        }
+        loaded
     }
 
     /// The nearest ancestor of a damaged node that can be drawn in its place.
@@ -409,15 +422,29 @@ struct Wanted {
 }
 
 fn load_brick(store: &Store, variable: usize, wanted: &Wanted, step: u32, lit: bool) -> Loaded {
+    let payload = match wanted.record.kind {
+        SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
+        _ => None,
+    };
+    prepare(store, variable, wanted, payload, step, lit)
+}
+
+/// Makes a brick ready to be drawn, from its payload or its constant value.
+fn prepare(
+    store: &Store,
+    variable: usize,
+    wanted: &Wanted,
+    payload: Option<Payload>,
+    step: u32,
+    lit: bool,
+) -> Loaded {
     let Wanted { node, record, .. } = wanted;
     let layout = &store.header().bricks;
     let mask = store.read_mask(variable, node.level, record)?;
-    let resident = match record.kind {
-        SpanKind::Constant(value) => constant_brick(value, mask, layout),
-        _ => {
-            let payload = store.read_payload(variable, node.level, record)?;
-            decode_resident(&payload, layout, step - record.start, mask)?
-        }
+    let resident = match (payload, record.kind) {
+        (Some(payload), _) => decode_resident(&payload, layout, step - record.start, mask)?,
+        (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
+        (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
     };
     Ok(Arc::new(PreparedBrick::new(resident, layout, lit)?))
 }

@@ -142,7 +142,8 @@ impl FromStr for StepRange {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is not a range of steps; write A:B or A:B:S, as 0:10:2, or one step");
+        let wrong =
+            || format!("{text:?} is not a range of steps; write A:B or A:B:S, as 0:10:2, or one step");
         let number = |part: &str| match part {
             "" => Ok(None),
             _ => part.parse::<usize>().map(Some).map_err(|_| wrong()),
@@ -219,7 +220,8 @@ pub fn parse_triple(text: &str) -> Result<[f64; 3], String> {
 }
 
 fn parse_dims(text: &str) -> Result<[usize; 3], String> {
-    let numbers: Vec<usize> = text.split(['x', 'X', ',']).filter_map(|part| part.trim().parse().ok()).collect();
+    let numbers: Vec<usize> =
+        text.split(['x', 'X', ',']).filter_map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
         [x, y, z] if text.split(['x', 'X', ',']).count() == 3 && x > 0 && y > 0 && z > 0 => Ok([x, y, z]),
         _ => Err(format!("{text:?} are not dimensions; write NXxNYxNZ, as 512x512x256")),

@@ -57,7 +57,8 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
         DemoSize::Small => ("sim:shockbubble?dims=120x48x48&steps=40", "640x360"),
         DemoSize::Full => ("sim:shockbubble?dims=320x128x128&steps=96", "1280x720"),
     };
-    let [store, picture, movie] = ["shockbubble.cxl", "shockbubble.png", "shockbubble.gif"].map(|n| folder.join(n));
+    let [store, picture, movie] =
+        ["shockbubble.cxl", "shockbubble.png", "shockbubble.gif"].map(|n| folder.join(n));
     let say = |text: &str| if common.json || common.quiet { Ok(()) } else { output::line(text) };
 
     say(&format!("A shock wave runs over a bubble of light gas. Simulating and encoding {source}"))?;
@@ -78,7 +79,9 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     anyhow::ensure!(checked.ok, "{}: the store is not sound", store.display());
     let psnr_db = checked.psnr_db(&opened.header().variables[0].name);
     let quality = psnr_db.map_or("lossless".to_owned(), |psnr| format!("PSNR {psnr:.1} dB"));
-    say(&format!("  verified: every checksum and invariant holds; {quality} against the simulation run again"))?;
+    say(&format!(
+        "  verified: every checksum and invariant holds; {quality} against the simulation run again"
+    ))?;
 
     let transfer = folder.join("shockbubble-colors.json");
     std::fs::write(&transfer, TRANSFER_FUNCTION)?;
@@ -133,7 +136,9 @@ fn perform(common: &Common, folder: &Path, words: &[&str]) -> anyhow::Result<()>
 
 impl DemoReport {
     fn text(&self) -> String {
-        let size = |path: &Path| std::fs::metadata(path).map_or(String::new(), |m| format!("  {}", ByteSize(m.len())));
+        let size = |path: &Path| {
+            std::fs::metadata(path).map_or(String::new(), |m| format!("  {}", ByteSize(m.len())))
+        };
         format!(
             "\nMade in {:.0} s:\n  picture  {}{}\n  movie    {}{}\n  store    {} ({:.1} : 1)\n\
              Next: chronoxel encode YOUR-FILES -o run.cxl, then render, movie or play it; every verb has --help.",

@@ -61,13 +61,14 @@ pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
     let description = ExportDescription {
         grid: header.grid,
         times: TimeAxis::new(times, header.times.units.clone())?,
-        variable: variable.name.clone(),
+        name: variable.name.clone(),
         units: variable.units.clone(),
         sample_type: variable.sample_type,
         fill_value: variable.fill_value,
     };
     let mut writer = export::create(&args.output, &description)?;
-    let bar = Progress::new("export", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
+    let bar =
+        Progress::new("export", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
     for (number, &step) in steps.iter().enumerate() {
         writer.write_step(number, &decode_step(&store, index, step)?)?;
         bar.advance(1);

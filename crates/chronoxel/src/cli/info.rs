@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use chronoxel_core::{TimeAxis, UniformGrid};
-use chronoxel_ingest::{TimeSeries, sources};
+use chronoxel_ingest::TimeSeries;
 use chronoxel_store::Store;
 
 use super::{
@@ -139,7 +139,8 @@ fn source_report(args: &InfoArgs) -> anyhow::Result<InfoReport> {
     let step_bytes: u64 = series.variables().iter().map(|v| v.sample_type.num_bytes() as u64).sum::<u64>()
         * grid.num_samples() as u64;
     let raw_bytes = step_bytes * times.len() as u64;
-    let wanted = args.ranges.unwrap_or(if raw_bytes <= READ_UNASKED_BYTES { Ranges::All } else { Ranges::First });
+    let wanted =
+        args.ranges.unwrap_or(if raw_bytes <= READ_UNASKED_BYTES { Ranges::All } else { Ranges::First });
     let num_read = match wanted {
         Ranges::All => times.len(),
         Ranges::First => 1,
@@ -221,8 +222,18 @@ fn text(report: &InfoReport) -> String {
     let units = if report.time_units.is_empty() { String::new() } else { format!(" {}", report.time_units) };
     let (first, last) = (report.times.first().unwrap_or(&0.0), report.times.last().unwrap_or(&0.0));
     let mut lines = vec![
-        format!("{:<10} {} {}", report.kind, report.grid["type"].as_str().unwrap_or_default(), numbers("dims")),
-        format!("{:<10} {}  origin {}", "spacing", numbers("spacing"), numbers("origin").replace(" x ", ", ")),
+        format!(
+            "{:<10} {} {}",
+            report.kind,
+            report.grid["type"].as_str().unwrap_or_default(),
+            numbers("dims")
+        ),
+        format!(
+            "{:<10} {}  origin {}",
+            "spacing",
+            numbers("spacing"),
+            numbers("origin").replace(" x ", ", ")
+        ),
         format!("{:<10} {} from {first} to {last}{units}", "steps", report.num_steps),
         format!("{:<10} {}", "samples", ByteSize(report.raw_bytes)),
     ];

@@ -89,7 +89,8 @@ impl MovieArgs {
         let options = MovieOptions { size: self.view.size, fps: self.fps, num_frames };
         let mut view = self.view.view(&session)?;
         let mut sink = movie::create(&self.output, options)?;
-        let bar = Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
+        let bar =
+            Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
         let mut warnings = Vec::new();
         for frame in 0..num_frames {
             let step = steps[frame * steps.len() / num_frames];

@@ -137,7 +137,8 @@ impl PlayArgs {
         let mut warnings = Vec::new();
         let mut frames = Vec::with_capacity(num_frames);
         let mut pixels_per_voxel = 0.0;
-        let bar = Progress::new("play", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
+        let bar =
+            Progress::new("play", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
         for frame in 0..num_frames {
             if self.orbit != 0.0 {
                 let turn = self.orbit * frame as f64 / num_frames as f64;

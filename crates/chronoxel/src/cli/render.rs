@@ -94,43 +94,49 @@ impl RenderArgs {
     /// # Errors
     /// Whatever keeps it from being drawn or written.
     pub fn make(&self, common: &Common) -> anyhow::Result<RenderReport> {
-    let start = std::time::Instant::now();
-    anyhow::ensure!(
-        self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")),
-        "{}: pictures are written as PNG; use a name that ends in .png",
-        self.output.display()
-    );
-    let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
-    let step = self.step.resolve(&session)?;
-    let view = self.view.view(&session)?;
-    let picture = session.draw(&view, step)?;
-    picture.warnings.iter().for_each(|warning| output::warning(warning));
-    write_png(&self.output, &self.view.show(&session, &view, &picture, step)?)?;
+        let start = std::time::Instant::now();
+        anyhow::ensure!(
+            self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")),
+            "{}: pictures are written as PNG; use a name that ends in .png",
+            self.output.display()
+        );
+        let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
+        let step = self.step.resolve(&session)?;
+        let view = self.view.view(&session)?;
+        let picture = session.draw(&view, step)?;
+        picture.warnings.iter().for_each(|warning| output::warning(warning));
+        write_png(&self.output, &self.view.show(&session, &view, &picture, step)?)?;
 
-    let header = session.store().header();
-    Ok(RenderReport {
-        backend: BACKEND,
-        adapter: adapter(),
-        wall_secs: start.elapsed().as_secs_f64(),
-        fetch_ms: picture.fetch_ms,
-        render_ms: picture.render_ms,
-        samples: picture.samples,
-        bricks: picture.bricks.into(),
-        opacity_unit: view.opacity_unit,
-        size: view.size,
-        step,
-        time: header.times.times[step],
-        time_units: header.times.units.clone(),
-        level: view.level,
-        warnings: picture.warnings,
-    })
+        let header = session.store().header();
+        Ok(RenderReport {
+            backend: BACKEND,
+            adapter: adapter(),
+            wall_secs: start.elapsed().as_secs_f64(),
+            fetch_ms: picture.fetch_ms,
+            render_ms: picture.render_ms,
+            samples: picture.samples,
+            bricks: picture.bricks.into(),
+            opacity_unit: view.opacity_unit,
+            size: view.size,
+            step,
+            time: header.times.times[step],
+            time_units: header.times.units.clone(),
+            level: view.level,
+            warnings: picture.warnings,
+        })
     }
 }
 
 impl RenderReport {
     fn text(&self, path: &std::path::Path, verbose: bool) -> String {
         let time = format!("t = {} {}", self.time, self.time_units);
-        let line = format!("{}: step {}, {}, {:.0} ms", path.display(), self.step, time.trim_end(), self.wall_secs * 1e3);
+        let line = format!(
+            "{}: step {}, {}, {:.0} ms",
+            path.display(),
+            self.step,
+            time.trim_end(),
+            self.wall_secs * 1e3
+        );
         if !verbose {
             return line;
         }
@@ -138,8 +144,16 @@ impl RenderReport {
         format!(
             "{line}\n  back end {} ({}), level {}\n  reading {:.1} ms, drawing {:.1} ms, {:.1} million samples\n  \
              bricks: {} new, {} constant, {} skipped\n  opacities are those of a path of {} world units",
-            self.backend, self.adapter, self.level, self.fetch_ms, self.render_ms, self.samples as f64 / 1e6,
-            b.new, b.constant, b.skipped, self.opacity_unit
+            self.backend,
+            self.adapter,
+            self.level,
+            self.fetch_ms,
+            self.render_ms,
+            self.samples as f64 / 1e6,
+            b.new,
+            b.constant,
+            b.skipped,
+            self.opacity_unit
         )
     }
 }

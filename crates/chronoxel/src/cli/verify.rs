@@ -1,6 +1,6 @@
 //! `verify`: whether a store is sound, and how far it is from its source.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, sync::OnceLock};
 
 use clap::Args;
 use serde::Serialize;
@@ -59,17 +59,19 @@ pub fn run(common: &Common, args: &VerifyArgs) -> anyhow::Result<()> {
 
 /// Checks every checksum and invariant.
 pub fn check(common: &Common, store: &Store) -> anyhow::Result<VerifyReport> {
-    let mut bar: Option<Progress> = None;
-    let found = verify(store, &mut |done, total| {
-        let bar = bar.get_or_insert_with(|| {
-            Progress::new("verify", total, Counted::Bytes, common.quiet || common.json)
-        });
-        bar.set(done);
-    })?;
-    if let Some(bar) = bar {
+    let bar: OnceLock<Progress> = OnceLock::new();
+    let found = verify(store, &|done, total| {
+        let quiet = common.quiet || common.json;
+        bar.get_or_init(|| Progress::new("verify", total, Counted::Items("parts"), quiet)).set(done);
+    });
+    if let Some(bar) = bar.get() {
         bar.finish();
     }
-    Ok(VerifyReport { ok: found.problems.is_empty(), problems: found.problems, variables: Map::new() })
+    let mut problems = found.problems;
+    if found.num_problems > problems.len() as u64 {
+        problems.push(format!("and {} more", found.num_problems - problems.len() as u64));
+    }
+    Ok(VerifyReport { ok: problems.is_empty(), problems, variables: Map::new() })
 }
 
 fn measure_against(
@@ -95,7 +97,8 @@ pub fn measure_series(
     steps: &[usize],
     report: &mut VerifyReport,
 ) -> anyhow::Result<()> {
-    let bar = Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
+    let bar =
+        Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
     let found = measure(store, series, steps.iter().copied().inspect(|_| bar.advance(1)))?;
     bar.finish();
     for errors in found.variables {
@@ -140,7 +143,8 @@ impl VerifyReport {
                 ]);
             }
             lines.push(output::table(&rows));
-            lines.push("errors on values scaled to [0, 1] by the variable's range; mse over steps".to_owned());
+            lines
+                .push("errors on values scaled to [0, 1] by the variable's range; mse over steps".to_owned());
         }
         lines.join("\n")
     }

@@ -154,7 +154,10 @@ fn parse_background(text: &str) -> Result<Background, String> {
         }),
     };
     rgb.map(|rgb| Background::Color(rgb.map(|c| f32::from(c) / 255.0))).ok_or_else(|| {
-        format!("{text:?} is not a colour; use #RRGGBB, transparent, {}", named.map(|(name, _)| name).join(", "))
+        format!(
+            "{text:?} is not a colour; use #RRGGBB, transparent, {}",
+            named.map(|(name, _)| name).join(", ")
+        )
     })
 }
 
@@ -199,12 +202,8 @@ impl ViewArgs {
         let style = Style::for_picture(view.size, background);
         let mut shown = Image8::of_background(width, height, background);
         let header = session.store().header();
-        let axes = AxesBox {
-            camera: &view.camera,
-            bounds: header.grid.bounds(),
-            names: ["x", "y", "z"],
-            units: "",
-        };
+        let axes =
+            AxesBox { camera: &view.camera, bounds: header.grid.bounds(), names: ["x", "y", "z"], units: "" };
         if self.axes {
             axes.draw_behind(&mut shown, &style);
         }
@@ -300,7 +299,11 @@ impl StepArgs {
             return Ok(header.times.nearest_step(time).min(num_steps - 1));
         }
         let step = self.time_step.unwrap_or(0);
-        anyhow::ensure!(step < num_steps, "step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
+        anyhow::ensure!(
+            step < num_steps,
+            "step {step} is not in the store: its steps are 0 to {}",
+            num_steps - 1
+        );
         Ok(step)
     }
 }
