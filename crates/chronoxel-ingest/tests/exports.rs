@@ -90,7 +90,7 @@ fn every_format_holds_the_samples_the_grid_and_the_times() {
 
 fn check_with_own_reader(path: &Path, description: &ExportDescription) {
     let name = path.to_str().unwrap().to_owned();
-    let mut series = sources::open(&[name.clone()], &SourceOptions::default()).unwrap();
+    let mut series = sources::open(std::slice::from_ref(&name), &SourceOptions::default()).unwrap();
     let num_steps = description.times.num_steps();
     assert_eq!(series.times().num_steps(), num_steps, "{name}");
     assert_eq!(series.grid().dims, DIMS);
