@@ -151,3 +151,10 @@ fn a_path_without_read_permission() {
     }
     assert!(refused(&path.to_string_lossy()).contains("a.npy: cannot open: "));
 }
+
+#[test]
+fn what_is_no_file_is_not_waited_for() {
+    for path in ["/dev/zero", "/dev/null"] {
+        assert!(refused(path).contains("not a regular file"));
+    }
+}

@@ -124,15 +124,16 @@ impl<'a> ChunkReader<'a> {
 
 /// Opens a file and gives its length; `None` where there is none.
 fn open_if_there(path: &Path) -> Result<Option<(File, u64)>, SourceError> {
-    let file = match File::open(path) {
-        Ok(file) => file,
+    // Asked before opening: opening a pipe would wait for a writer.
+    let metadata = match std::fs::metadata(path) {
+        Ok(metadata) => metadata,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(SourceError::io(path, "open", error)),
     };
-    let metadata = file.metadata().map_err(|e| SourceError::io(path, "read the length of", e))?;
     if !metadata.is_file() {
-        return Err(SourceError::corrupt(path, "chunk", "a folder", "a chunk must be a file"));
+        return Err(SourceError::corrupt(path, "chunk", "not a regular file", "a chunk must be a file"));
     }
+    let file = File::open(path).map_err(|e| SourceError::io(path, "open", e))?;
     Ok(Some((file, metadata.len())))
 }
 
