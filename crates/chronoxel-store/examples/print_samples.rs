@@ -41,7 +41,7 @@ fn samples(
     level: u8,
     step: u32,
     node: usize,
-) -> Result<Vec<(usize, Option<f64>)>, Box<dyn std::error::Error>> {
+) -> Result<Value, Box<dyn std::error::Error>> {
     let span = store.spans(variable, level, step)?[node];
     let mask = store.read_mask(variable, level, &span)?;
     let num = store.layout().num_full();
@@ -53,9 +53,10 @@ fn samples(
             decode_f64(&payload, store.layout(), step - span.start)?
         }
     };
-    let sample = |i: usize| {
+    let sample = |i: usize| -> (usize, Option<f64>) {
         let masked = values[i].is_nan() || mask.as_ref().is_some_and(|mask| mask.get(i));
         (i, (!masked).then(|| values[i]))
     };
-    Ok((0..num).step_by((num / NUM_PRINTED).max(1)).map(sample).collect())
+    let printed: Vec<_> = (0..num).step_by((num / NUM_PRINTED).max(1)).map(sample).collect();
+    Ok(json!(printed))
 }
