@@ -200,27 +200,26 @@ impl Camera {
         }
     }
 
-    /// The ray through a point of the picture: `(column + ½, row + ½)` is the centre of a pixel, rows counted
-    /// from the top.
+    /// The rays of a picture.
     ///
     /// * `size`: width and height of the picture in pixels, at least 1
-    pub fn ray(&self, [x, y]: [f64; 2], size: [usize; 2]) -> Ray {
+    pub fn rays(&self, size: [usize; 2]) -> PictureRays {
         let [width, height] = size.map(|n| n as f64);
         let scale = self.half_height();
-        let right = (2.0 * x / width - 1.0) * scale * width / height;
-        let up = (1.0 - 2.0 * y / height) * scale;
-        let offset: [f64; 3] = std::array::from_fn(|a| right * self.right_unit[a] + up * self.up_unit[a]);
-        match self.projection {
-            Projection::Perspective { .. } => {
-                let through: [f64; 3] = std::array::from_fn(|a| self.forward_unit[a] + offset[a]);
-                let length = dot(through, through).sqrt();
-                Ray { origin: self.position, direction: through.map(|c| c / length) }
-            }
-            Projection::Orthographic { .. } => Ray {
-                origin: std::array::from_fn(|a| self.position[a] + offset[a]),
-                direction: self.forward_unit,
-            },
+        let (right, up) = (scale * width / height, scale);
+        PictureRays {
+            position: self.position,
+            forward: self.forward_unit,
+            corner: std::array::from_fn(|a| up * self.up_unit[a] - right * self.right_unit[a]),
+            per_column: self.right_unit.map(|c| 2.0 * right / width * c),
+            per_row: self.up_unit.map(|c| -2.0 * up / height * c),
+            is_perspective: matches!(self.projection, Projection::Perspective { .. }),
         }
+    }
+
+    /// One of [`Self::rays`].
+    pub fn ray(&self, point: [f64; 2], size: [usize; 2]) -> Ray {
+        self.rays(size).ray(point)
     }
 
     /// Where a point of the world lies in the picture, as `[x, y, depth]`: x and y as in [`Self::ray`], depth along
@@ -237,6 +236,35 @@ impl Camera {
         let right = dot(from_camera, self.right_unit) / (scale * width / height);
         let up = dot(from_camera, self.up_unit) / scale;
         Some([0.5 * width * (right + 1.0), 0.5 * height * (1.0 - up), depth])
+    }
+}
+
+/// The rays of a picture of some size, see [`Camera::rays`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PictureRays {
+    position: [f64; 3],
+    forward: [f64; 3],
+    /// From the centre of the picture to its top left corner.
+    corner: [f64; 3],
+    per_column: [f64; 3],
+    per_row: [f64; 3],
+    is_perspective: bool,
+}
+
+impl PictureRays {
+    /// The ray through a point of the picture: `(column + ½, row + ½)` is the centre of a pixel, rows counted from
+    /// the top.
+    #[inline]
+    pub fn ray(&self, [x, y]: [f64; 2]) -> Ray {
+        let offset: [f64; 3] =
+            std::array::from_fn(|a| self.corner[a] + x * self.per_column[a] + y * self.per_row[a]);
+        if !self.is_perspective {
+            let origin = std::array::from_fn(|a| self.position[a] + offset[a]);
+            return Ray { origin, direction: self.forward };
+        }
+        let through: [f64; 3] = std::array::from_fn(|a| self.forward[a] + offset[a]);
+        let inverse_length = 1.0 / dot(through, through).sqrt();
+        Ray { origin: self.position, direction: through.map(|c| c * inverse_length) }
     }
 }
 

@@ -22,7 +22,7 @@ mod transfer_json;
 pub mod visibility;
 
 pub use brick::{BitMask, BrickLayout, ResidentBrick};
-pub use camera::{Camera, Projection, Ray};
+pub use camera::{Camera, PictureRays, Projection, Ray};
 pub use colormap::ColorMap;
 pub use compare::{ImageDifference, compare, difference_picture};
 pub use dtype::SampleType;

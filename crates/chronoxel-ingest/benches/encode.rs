@@ -2,6 +2,8 @@
 //!
 //! `CHRONOXEL_BENCH_THREADS` sets the number of threads, 2 by default.
 
+#![allow(missing_docs, reason = "criterion's macros make public items")]
+
 use std::fs::{self, File};
 use std::hint::black_box;
 use std::io::Read;

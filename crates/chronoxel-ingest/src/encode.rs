@@ -23,7 +23,7 @@ pub(crate) mod window;
 use std::path::Path;
 use std::time::Instant;
 
-use chronoxel_core::{BrickLayout, Octree, octree::levels_of};
+use chronoxel_core::{BrickLayout, Octree, SampleType, octree::levels_of};
 use chronoxel_store::{StoreDescription, StoreWriter, VariableDescription};
 
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
@@ -79,8 +79,14 @@ impl Job {
         let levels = levels_of(&grid, &layout);
         let variables = options.choose_variables(series.variables())?;
         let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
-        let threads = rayon::current_num_threads();
-        let portions = budget::portions(&levels, &layout, types, threads, options.memory_bytes)?;
+        let task = budget::Task {
+            levels: &levels,
+            layout: &layout,
+            sample_type: types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64),
+            num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
+            num_threads: rayon::current_num_threads(),
+        };
+        let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {
             let variable = &series.variables()[*index];
             VariableDescription {
@@ -173,18 +179,17 @@ impl Job {
             Encoder { plan: &self.plan, tree: &self.description.tree, batch_bricks: self.batch_bricks };
         let num_finest = self.description.tree.nodes(0).len() as f64;
         let mut finest_done = 0;
-        let mut put = |level: u8, spans: Vec<chronoxel_store::SpanWrite>| {
+        let mut on_bricks = |level: u8, num_bricks: usize| {
             if level == 0 {
-                finest_done += spans.len();
+                finest_done += num_bricks;
+                share(finest_done as f64 / num_finest);
             }
-            writer.put(variable, level, spans)?;
-            share(finest_done as f64 / num_finest);
-            Ok(())
         };
+        let mut put = |level, spans| Ok(writer.put(variable, level, spans)?);
         let reader = series.open_step(*index, step)?;
         match fits_f32 {
-            true => encoder.encode_step::<f32>(reader, coding, step, seen, &mut put),
-            false => encoder.encode_step::<f64>(reader, coding, step, seen, &mut put),
+            true => encoder.encode_step::<f32>(reader, coding, step, seen, &mut put, &mut on_bricks),
+            false => encoder.encode_step::<f64>(reader, coding, step, seen, &mut put, &mut on_bricks),
         }
     }
 }

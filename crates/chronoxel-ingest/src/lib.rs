@@ -3,6 +3,7 @@
 pub mod decode;
 pub mod encode;
 pub mod error;
+pub mod export;
 pub mod measure;
 pub mod series;
 pub mod sim;

@@ -115,8 +115,11 @@ impl Found {
             self.num_mismatches += 1;
             self.first_mismatch.get_or_insert_with(at);
         } else if !source.is_nan() {
-            // Scaled before the difference, which could overflow.
-            let error = (decoded * per_range - source * per_range).abs();
+            let difference = decoded - source;
+            let error = match difference.is_finite() {
+                true => (difference * per_range).abs(),
+                false => (decoded * per_range - source * per_range).abs(),
+            };
             self.count += 1;
             self.squares += error * error;
             self.largest = self.largest.max(error);

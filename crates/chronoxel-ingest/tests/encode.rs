@@ -156,6 +156,8 @@ fn integers_up_to_16_bits_lose_nothing() {
         (SampleType::U16, 0.0, 65535.0),
         (SampleType::I16, -32768.0, 32767.0),
         (SampleType::I64, -30000.0, 30000.0),
+        // Whole numbers in a type for any.
+        (SampleType::F32, -500.0, 9999.0),
     ] {
         let mut series = MemorySeries::of([40, 35, 34], sample_type, 1, wide(low, high));
         for options in [raw(), bounded(0.0)] {
@@ -302,6 +304,14 @@ fn too_little_memory_is_an_error_that_says_how_much() {
     assert_eq!(given, 10_000);
     assert!(try_encoded(&mut series, &EncodeOptions { memory_bytes: needed - 1, ..raw() }).is_err());
     assert!(try_encoded(&mut series, &EncodeOptions { memory_bytes: needed, ..raw() }).is_ok());
+}
+
+#[test]
+fn a_range_beyond_f64_is_refused_by_name() {
+    let value = |_, [x, _, _]: [usize; 3]| if x % 2 == 0 { f64::MAX } else { -f64::MAX };
+    let mut series = MemorySeries::of([9, 9, 9], SampleType::F64, 1, value);
+    let text = try_encoded(&mut series, &raw()).err().unwrap().to_string();
+    assert!(text.starts_with("variable v, step 0, level 0, brick (0, 0, 0): "), "{text}");
 }
 
 #[test]

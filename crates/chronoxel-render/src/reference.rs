@@ -5,6 +5,7 @@
 
 use chronoxel_core::{Image, Ray, compositing};
 
+use crate::scene::clip_to_box;
 use crate::{RenderError, Scene};
 
 /// A dense field of samples over the scene's grid, `[z, y, x]`.
@@ -38,7 +39,7 @@ pub fn render_reference(scene: &Scene, field: &DenseField) -> Result<Image, Rend
 
 fn march(scene: &Scene, field: &DenseField, ray: &Ray) -> [f64; 4] {
     let mut pixel = [0.0; 4];
-    let Some([entry, exit]) = scene.clip_to_grid(ray) else { return pixel };
+    let Some([entry, exit]) = clip_to_box(ray, scene.grid.bounds()) else { return pixel };
     let dt = scene.step_length();
     let num_samples = ((exit - entry) / dt).round() as usize;
     for k in 0..num_samples {

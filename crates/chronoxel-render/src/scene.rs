@@ -58,25 +58,24 @@ impl Scene {
         }
         Ok(self.lighting.map_or(Ok(()), |lighting| lighting.check())?)
     }
+}
 
-    /// The part of a ray inside the grid's box, in front of the camera: lengths along it.
-    pub(crate) fn clip_to_grid(&self, ray: &Ray) -> Option<[f64; 2]> {
-        let [low, high] = self.grid.bounds();
-        let (mut entry, mut exit) = (0.0f64, f64::INFINITY);
-        for a in 0..3 {
-            if ray.direction[a] == 0.0 {
-                if !(low[a]..=high[a]).contains(&ray.origin[a]) {
-                    return None;
-                }
-                continue;
+/// The part of a ray inside a box, in front of the camera: lengths along it.
+pub(crate) fn clip_to_box(ray: &Ray, [low, high]: [[f64; 3]; 2]) -> Option<[f64; 2]> {
+    let (mut entry, mut exit) = (0.0f64, f64::INFINITY);
+    for a in 0..3 {
+        if ray.direction[a] == 0.0 {
+            if !(low[a]..=high[a]).contains(&ray.origin[a]) {
+                return None;
             }
-            let inverse = 1.0 / ray.direction[a];
-            let (t0, t1) = ((low[a] - ray.origin[a]) * inverse, (high[a] - ray.origin[a]) * inverse);
-            entry = entry.max(t0.min(t1));
-            exit = exit.min(t0.max(t1));
+            continue;
         }
-        (entry < exit).then_some([entry, exit])
+        let inverse = 1.0 / ray.direction[a];
+        let (t0, t1) = ((low[a] - ray.origin[a]) * inverse, (high[a] - ray.origin[a]) * inverse);
+        entry = entry.max(t0.min(t1));
+        exit = exit.min(t0.max(t1));
     }
+    (entry < exit).then_some([entry, exit])
 }
 
 /// One entry of a draw list: a box, and what is in it.

@@ -5,7 +5,10 @@
 
 use std::{
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use chronoxel_codec::{Payload, stage_from_bytes};
@@ -41,6 +44,8 @@ pub struct Store {
     tree: Octree,
     spans: ByteCache<SpanChunkId, SpanChunk>,
     shards: ByteCache<ShardId, ShardFile>,
+    /// Bytes of shards and spans read so far.
+    bytes_read: AtomicU64,
 }
 
 impl Store {
@@ -62,6 +67,7 @@ impl Store {
             tree,
             spans: ByteCache::new(CACHE_BYTES, usize::MAX),
             shards: ByteCache::new(CACHE_BYTES, MAX_OPEN_FILES),
+            bytes_read: AtomicU64::new(0),
         })
     }
 
@@ -88,6 +94,11 @@ impl Store {
     /// Whether every step of the series is there.
     pub fn is_complete(&self) -> bool {
         self.header.num_steps_finished == self.header.num_steps()
+    }
+
+    /// Bytes of payloads, masks, shard indexes and spans that were read since the store was opened.
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes_read.load(Ordering::Relaxed)
     }
 
     /// Bytes of all files of the store.
@@ -181,6 +192,7 @@ impl Store {
             StoreError::corrupt(&path, "spans", format!("{} bytes", stored.len()), problem)
         })?;
         let (bytes, chunk) = (chunk.num_bytes(), Arc::new(chunk));
+        self.bytes_read.fetch_add(stored.len() as u64, Ordering::Relaxed);
         self.spans.insert(*id, chunk.clone(), bytes);
         Ok(Some(chunk))
     }
@@ -276,6 +288,7 @@ impl Store {
         let num_slots = self.header.num_slots(&id.array);
         let opened = ShardFile::open(&path, num_slots, self.header.chunk_bytes(&id.array))?;
         Ok(opened.map(|shard| {
+            self.bytes_read.fetch_add(16 * num_slots as u64 + 4, Ordering::Relaxed);
             let (bytes, shard) = (shard.num_bytes(), Arc::new(shard));
             self.shards.insert(*id, shard.clone(), bytes);
             shard
@@ -389,6 +402,7 @@ impl Store {
             let (run, after) = rest.split_at(num);
             rest = after;
             let bytes = shard.read_range(start, (end - start) as usize);
+            self.bytes_read.fetch_add(end - start, Ordering::Relaxed);
             let decoded = run.par_iter().map(|&([offset, len], place, index, stage)| {
                 let bytes = bytes.as_ref().map_err(|error| self.place_error(&place, error.without_path()));
                 let from = (offset - start) as usize;

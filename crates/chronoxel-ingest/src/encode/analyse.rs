@@ -54,8 +54,8 @@ pub(super) fn range_of<T: Real>(samples: &[T]) -> (T, T) {
         high[lane] = if v > high[lane] { v } else { high[lane] };
     };
     for chunk in chunks {
-        for lane in 0..LANES {
-            take(lane, chunk[lane]);
+        for (lane, &v) in chunk.iter().enumerate() {
+            take(lane, v);
         }
     }
     for (lane, &v) in rest.iter().enumerate() {
@@ -151,8 +151,8 @@ fn moments_unmasked<T: Real>(core: &Core<'_, T>, pivot: f64, unit: f64) -> Momen
     for row in core.rows() {
         let (chunks, rest) = row.as_chunks::<LANES>();
         for chunk in chunks {
-            for lane in 0..LANES {
-                take(lane, chunk[lane]);
+            for (lane, &v) in chunk.iter().enumerate() {
+                take(lane, v);
             }
         }
         for (lane, &v) in rest.iter().enumerate() {

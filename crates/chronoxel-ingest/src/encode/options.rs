@@ -173,7 +173,6 @@ impl EncodeOptions {
             name: variable.name.clone(),
             // Where the source holds integers, a fill value of NaN never occurs; in floats NaN is masked anyway.
             fill_value,
-            is_integer: sample_type.is_integer(),
             bits: self.bits.unwrap_or(if sample_type.num_bytes() == 1 { 8 } else { 16 }),
             max_error: self.max_error,
             range: self.range,

@@ -20,8 +20,6 @@ pub struct Coding {
     pub name: String,
     /// Value that means "no data".
     pub fill_value: Option<f64>,
-    /// Whether its samples are whole numbers.
-    pub is_integer: bool,
     /// Bits per index where no error is given.
     pub bits: u8,
     /// Largest error, relative to the range.
@@ -48,12 +46,7 @@ impl Coding {
         let [low, high] = self.range.unwrap_or(seen);
         // Halved before the difference and doubled after, which cannot overflow on the way.
         let width = 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX);
-        Demand {
-            bits: self.bits,
-            whole_numbers: self.is_integer && level == 0,
-            bound: self.max_error.map(|e| e * width),
-            bound_is_binding: level == 0,
-        }
+        Demand { bits: self.bits, bound: self.max_error.map(|e| e * width), bound_is_binding: level == 0 }
     }
 }
 
@@ -68,13 +61,15 @@ pub struct Encoder<'a> {
 }
 
 /// Where the spans of a batch of bricks of one level go.
-pub type PutSpans<'a> = dyn FnMut(u8, Vec<SpanWrite>) -> Result<(), EncodeError> + 'a;
+pub type PutSpans<'a> = dyn FnMut(u8, Vec<SpanWrite>) -> Result<(), EncodeError> + Send + 'a;
 
 impl Encoder<'_> {
     /// Reads a step from its first slice to its last and hands on the spans of all bricks: layer by layer as
     /// [`stream`] completes them, in Morton order within a layer.
     ///
     /// * `seen`: range of the variable over all steps before
+    /// * `put`: takes batches one after the other, each while the next is coded
+    /// * `on_bricks`: told how many bricks of which level were coded
     pub fn encode_step<T: Real + SampleValue>(
         &self,
         reader: Box<dyn StepReader + '_>,
@@ -82,18 +77,28 @@ impl Encoder<'_> {
         step: usize,
         seen: [f64; 2],
         put: &mut PutSpans<'_>,
+        on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        stream::<T, EncodeError>(reader, self.plan, coding.fill_value, &mut |layer| {
+        let mut coded: Option<(u8, Vec<SpanWrite>)> = None;
+        let marks = stream::<T, EncodeError>(reader, self.plan, coding.fill_value, &mut |layer| {
             let seen = [seen[0].min(layer.marks.range[0]), seen[1].max(layer.marks.range[1])];
             let level = layer.window.geometry.level;
             let demand = coding.demand(level, seen);
             let bricks = self.bricks_of(&layer.window.geometry, layer.z);
             for batch in bricks.chunks(self.batch_bricks) {
-                let spans = self.batch(&layer, batch, coding, &demand, step)?;
-                put(level, spans)?;
+                let before = coded.take();
+                let (spans, written) = rayon::join(
+                    || self.batch(&layer, batch, coding, &demand, step),
+                    || before.map_or(Ok(()), |(level, spans)| put(level, spans)),
+                );
+                written?;
+                coded = Some((level, spans?));
+                on_bricks(level, batch.len());
             }
             Ok(())
-        })
+        })?;
+        coded.map_or(Ok(()), |(level, spans)| put(level, spans))?;
+        Ok(marks)
     }
 
     /// Ranks and places of the bricks of a layer, by rank.
@@ -174,6 +179,8 @@ fn refused(refusal: Refusal, coding: &Coding, step: usize, level: u8, brick: [us
             error,
             bound,
         },
-        Refusal::Codec(source) => EncodeError::Brick { variable, step, level, brick, source },
+        Refusal::Codec(source) => {
+            EncodeError::Brick { variable, step, level, brick, source: Box::new(source) }
+        }
     }
 }

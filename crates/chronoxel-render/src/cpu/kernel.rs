@@ -2,6 +2,8 @@
 
 use chronoxel_core::{BitMask, Lighting};
 
+use crate::prepared::BLOCK_EDGE;
+
 use super::lanes::{F8, I8, Lanes, Plain};
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
@@ -53,8 +55,9 @@ pub(super) struct BrickJob<'a> {
     /// Factor and offset from an interpolated sample to the index of its table entry.
     pub index_from_sample: [f32; 2],
     pub table: &'a [[f32; 4]],
-    /// One flag per block, `[z, y, x]`: whether it can be seen. Absent where most can.
-    pub blocks: Option<&'a [u8]>,
+    /// For each block, `[z, y, x]`, how many blocks away the nearest is that can be seen, see
+    /// [`super::blocks`]. Absent where all can.
+    pub blocks: Option<&'a [f32]>,
     pub blocks_along_edge: usize,
     pub mask: Option<&'a BitMask>,
     pub light: Option<LightJob<'a>>,
@@ -87,7 +90,7 @@ pub fn kernel_name() -> &'static str {
 pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
     let (lit, masked) = (job.light.is_some(), job.mask.is_some());
     #[cfg(target_arch = "x86_64")]
-    if !plain && std::arch::is_x86_feature_detected!("avx2") {
+    if !plain && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
         return match (lit, masked) {
             (false, false) => march_avx2::<false, false>,
             (false, true) => march_avx2::<false, true>,
@@ -116,7 +119,7 @@ pub(super) fn sample_interval(region: &LevelBox, packet: &Packet) -> [F8; 2] {
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,popcnt")]
 unsafe fn march_avx2<const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
     // SAFETY: AVX2 was detected.
     unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, packet) }
@@ -251,18 +254,16 @@ unsafe fn interpolate<L: Lanes>(samples: &[i16], full_edge: usize, cells: &Cells
     }
 }
 
-/// Premultiplied colour and alpha of interpolated samples.
+/// Offsets in the table, in bytes, of the colours of interpolated samples.
 #[inline(always)]
-unsafe fn classify<L: Lanes>(job: &BrickJob, sample: L::F) -> [L::F; 4] {
-    // SAFETY: the index is kept inside the table, NaN included (`max` gives its second argument then); the rest as
-    // the caller guarantees for L.
+unsafe fn table_offsets<L: Lanes>(job: &BrickJob, sample: L::F) -> I8 {
+    // SAFETY: as the caller guarantees for L.
     unsafe {
         let [factor, offset] = job.index_from_sample;
         let index = L::add(L::mul(sample, L::splat(factor)), L::splat(offset));
         let last = L::splat((job.table.len() - 1) as f32);
-        let mut indices = I8::default();
-        L::store_int(L::to_int(L::min(L::max(index, L::splat(0.0)), last)), &mut indices);
-        L::rows(job.table.as_ptr(), &indices)
+        // Inside the table, NaN included: `max` gives its second argument then.
+        L::row_offsets(L::min(L::max(index, L::splat(0.0)), last))
     }
 }
 
@@ -274,15 +275,11 @@ unsafe fn light_terms<L: Lanes>(
     step: &[L::F; 3],
     cells: &Cells<L>,
 ) -> [L::F; 2] {
-    let (mut weights, mut wy, mut wz) = (I8::default(), F8::default(), F8::default());
     // SAFETY: `gradients` has one entry per sample, so that what holds for `interpolate` holds here.
     unsafe {
-        L::store_int(cells.weights_x, &mut weights);
-        L::store(cells.wy, &mut wy);
-        L::store(cells.wz, &mut wz);
         let strides = [job.full_edge, job.full_edge * job.full_edge];
         let start = light.gradients.as_ptr();
-        let difference = L::gradients(start, &cells.offsets, strides, &weights, &wy, &wz);
+        let difference = L::gradients(start, &cells.offsets, strides, cells.weights_x, cells.wy, cells.wz);
         let (mut square, mut product) = (L::splat(0.0), L::splat(0.0));
         for a in 0..3 {
             let gradient = L::mul(difference[a], L::splat(light.world_from_difference[a]));
@@ -335,52 +332,157 @@ unsafe fn unmasked<L: Lanes>(mask: &BitMask, places: [L::F; 3], job: &BrickJob) 
 }
 
 /// Moves every ray of `alive` on to its next sample in a block that can be seen, or past `end`.
+///
+/// Around a block at distance `d` from the nearest that can be seen, all blocks up to `d - 1` away are hidden.
 #[inline(always)]
 unsafe fn skip_hidden<L: Lanes>(
     job: &BrickJob,
-    blocks: &[u8],
+    blocks: &[f32],
     rays: &Rays<L>,
     mut k: L::F,
     end: L::F,
     alive: L::F,
 ) -> L::F {
     let along_edge = job.blocks_along_edge;
-    // SAFETY: as the caller guarantees for L.
+    assert!(blocks.len() == along_edge.pow(3), "one distance per block");
+    // SAFETY: each coordinate of a block is kept below `along_edge`; the rest as the caller guarantees for L.
     unsafe {
         let last = L::splat((along_edge - 1) as f32);
-        let edge = L::splat(crate::prepared::BLOCK_EDGE as f32);
-        let inverse_edge = L::splat(1.0 / crate::prepared::BLOCK_EDGE as f32);
-        let zero = L::splat(0.0);
+        let edge = L::splat(BLOCK_EDGE as f32);
+        let inverse_edge = L::splat(1.0 / BLOCK_EDGE as f32);
+        let row = L::splat(along_edge as f32);
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
         loop {
-            let inside = L::bits(L::and(L::less(k, end), alive));
-            if inside == 0 {
-                return k;
-            }
+            let inside = L::and(L::less(k, end), alive);
             let mut block = [zero; 3];
-            let mut exit = L::splat(f32::INFINITY);
             for (a, block) in block.iter_mut().enumerate() {
                 *block = L::min(L::max(L::floor(L::mul(rays.place(a, k), inverse_edge)), zero), last);
-                let ahead = L::select(L::less(rays.step[a], zero), zero, L::splat(1.0));
-                let in_brick = L::mul(L::add(*block, ahead), edge);
-                let plane = L::sub(L::add(in_brick, rays.origin[a]), rays.entry[a]);
-                exit = L::min(L::mul(plane, rays.inverse_step[a]), exit);
             }
-            let row = L::splat(along_edge as f32);
-            let index = L::add(block[0], L::mul(row, L::add(block[1], L::mul(row, block[2]))));
             let mut indices = I8::default();
+            let index = L::add(block[0], L::mul(row, L::add(block[1], L::mul(row, block[2]))));
             L::store_int(L::to_int(index), &mut indices);
-            let mut hidden = 0;
-            for lane in 0..8 {
-                hidden |= u32::from(blocks[indices.0[lane] as usize] == 0) << lane;
-            }
-            hidden &= inside;
-            if hidden == 0 {
+            let distance = L::values(blocks.as_ptr(), &indices);
+            let hidden = L::and(inside, L::less(zero, distance));
+            if L::bits(hidden) == 0 {
                 return k;
+            }
+            let mut exit = L::splat(f32::INFINITY);
+            for a in 0..3 {
+                let ahead = L::add(block[a], distance);
+                let behind = L::add(L::sub(block[a], distance), one);
+                let plane = L::mul(L::select(L::less(rays.step[a], zero), behind, ahead), edge);
+                let way = L::sub(L::add(plane, rays.origin[a]), rays.entry[a]);
+                exit = L::min(L::mul(way, rays.inverse_step[a]), exit);
             }
             // A little before the plane, so that rounding never carries a ray past a sample that is seen.
             let before = L::sub(exit, L::splat(0.5 + 1.0 / 64.0));
-            let next = L::max(L::add(L::ceil(before), L::splat(0.5)), L::add(k, L::splat(1.0)));
-            k = L::select(L::mask_of(hidden), next, k);
+            let next = L::max(L::add(L::ceil(before), L::splat(0.5)), L::add(k, one));
+            k = L::select(hidden, next, k);
+        }
+    }
+}
+
+/// Eight samples that were found, and not yet composited.
+struct Look<L: Lanes> {
+    cells: Cells<L>,
+    /// Lanes that are still before the end of their run.
+    in_range: L::F,
+    /// Of those, lanes that are not masked.
+    shown: L::F,
+    table_offsets: I8,
+}
+
+/// Samples at `k`; those out of range are read inside the brick, and not used.
+#[inline(always)]
+unsafe fn look<L: Lanes, const MASKED: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    k: L::F,
+    limit: L::F,
+) -> Look<L> {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let places = [rays.place(0, k), rays.place(1, k), rays.place(2, k)];
+        let cells = cells_at::<L>(places, job);
+        let in_range = L::less(k, limit);
+        let shown = match job.mask {
+            Some(mask) if MASKED => L::and(in_range, unmasked::<L>(mask, places, job)),
+            _ => in_range,
+        };
+        let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
+        Look { table_offsets: table_offsets::<L>(job, sample), cells, in_range, shown }
+    }
+}
+
+/// What the rays of a packet have gathered.
+struct Gathered<L: Lanes> {
+    color: [L::F; 3],
+    transmittance: L::F,
+}
+
+/// Puts samples behind what was gathered.
+#[inline(always)]
+unsafe fn composite<L: Lanes, const LIT: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    look: &Look<L>,
+    alive: L::F,
+    gathered: &mut Gathered<L>,
+) {
+    // SAFETY: `table_offsets` lie inside the table; the rest as the caller guarantees for L.
+    unsafe {
+        let [r, g, b, alpha] = L::rows(job.table.as_ptr(), &look.table_offsets);
+        let weight = L::and(L::and(look.shown, alive), gathered.transmittance);
+        let opacity = L::mul(weight, alpha);
+        gathered.transmittance = L::sub(gathered.transmittance, opacity);
+        let [red, green, blue] = &mut gathered.color;
+        match &job.light {
+            Some(light) if LIT => {
+                if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
+                    return;
+                }
+                let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &look.cells);
+                let (lit, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
+                *red = L::add(*red, L::add(L::mul(lit, r), white));
+                *green = L::add(*green, L::add(L::mul(lit, g), white));
+                *blue = L::add(*blue, L::add(L::mul(lit, b), white));
+            }
+            _ => {
+                *red = L::add(*red, L::mul(weight, r));
+                *green = L::add(*green, L::mul(weight, g));
+                *blue = L::add(*blue, L::mul(weight, b));
+            }
+        }
+    }
+}
+
+/// Takes samples from `k` on until every ray is at its limit or ends; returns where that is, and their number.
+///
+/// A sample is looked up while the one before it is composited: the two do not wait for each other.
+#[inline(always)]
+unsafe fn run<L: Lanes, const LIT: bool, const MASKED: bool>(
+    job: &BrickJob,
+    rays: &Rays<L>,
+    mut k: L::F,
+    limit: L::F,
+    gathered: &mut Gathered<L>,
+) -> (L::F, u64) {
+    let mut num_samples = 0;
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let (one, least) = (L::splat(1.0), L::splat(LEAST_TRANSMITTANCE));
+        let mut here = look::<L, MASKED>(job, rays, k, limit);
+        loop {
+            let alive = L::less(least, gathered.transmittance);
+            let lanes = L::bits(L::and(here.in_range, alive));
+            if lanes == 0 {
+                return (k, num_samples);
+            }
+            num_samples += u64::from(lanes.count_ones());
+            k = L::add(k, one);
+            let next = look::<L, MASKED>(job, rays, k, limit);
+            composite::<L, LIT>(job, rays, &here, alive, gathered);
+            here = next;
         }
     }
 }
@@ -391,17 +493,17 @@ unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, p
     // SAFETY: as the caller guarantees for L.
     unsafe {
         let [first, end] = interval::<L>(&job.region, packet);
-        let (half, one, least) = (L::splat(0.5), L::splat(1.0), L::splat(LEAST_TRANSMITTANCE));
-        let mut transmittance = L::load(&packet.transmittance);
+        let least = L::splat(LEAST_TRANSMITTANCE);
+        let transmittance = L::load(&packet.transmittance);
         if L::bits(L::and(L::less(first, end), L::less(least, transmittance))) == 0 {
             return 0;
         }
         let rays = Rays::<L>::new(job, packet);
-        let (mut k, mut limit) = (L::add(first, half), end);
-        let [mut red, mut green, mut blue] =
-            [L::load(&packet.color[0]), L::load(&packet.color[1]), L::load(&packet.color[2])];
+        let [r, g, b] = &packet.color;
+        let mut gathered = Gathered::<L> { color: [L::load(r), L::load(g), L::load(b)], transmittance };
+        let (mut k, mut limit) = (L::add(first, L::splat(0.5)), end);
         loop {
-            let alive = L::less(least, transmittance);
+            let alive = L::less(least, gathered.transmittance);
             if let Some(blocks) = job.blocks {
                 k = skip_hidden::<L>(job, blocks, &rays, k, end, alive);
                 limit = L::min(L::add(k, L::splat(RUN)), end);
@@ -409,44 +511,14 @@ unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, p
             if L::bits(L::and(L::less(k, end), alive)) == 0 {
                 break;
             }
-            loop {
-                let mut active = L::and(L::less(k, limit), L::less(least, transmittance));
-                let lanes = L::bits(active);
-                if lanes == 0 {
-                    break;
-                }
-                num_samples += u64::from(lanes.count_ones());
-                let places = [rays.place(0, k), rays.place(1, k), rays.place(2, k)];
-                k = L::add(k, one);
-                let cells = cells_at::<L>(places, job);
-                if MASKED && let Some(mask) = job.mask {
-                    active = L::and(active, unmasked::<L>(mask, places, job));
-                }
-                let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
-                let [r, g, b, alpha] = classify::<L>(job, sample);
-                let weight = L::and(active, transmittance);
-                let opacity = L::mul(weight, alpha);
-                transmittance = L::sub(transmittance, opacity);
-                if LIT && let Some(light) = &job.light {
-                    if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
-                        continue;
-                    }
-                    let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &cells);
-                    let (color, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
-                    red = L::add(red, L::add(L::mul(color, r), white));
-                    green = L::add(green, L::add(L::mul(color, g), white));
-                    blue = L::add(blue, L::add(L::mul(color, b), white));
-                } else {
-                    red = L::add(red, L::mul(weight, r));
-                    green = L::add(green, L::mul(weight, g));
-                    blue = L::add(blue, L::mul(weight, b));
-                }
-            }
+            let taken;
+            (k, taken) = run::<L, LIT, MASKED>(job, &rays, k, limit, &mut gathered);
+            num_samples += taken;
         }
-        L::store(red, &mut packet.color[0]);
-        L::store(green, &mut packet.color[1]);
-        L::store(blue, &mut packet.color[2]);
-        L::store(transmittance, &mut packet.transmittance);
+        for (color, gathered) in packet.color.iter_mut().zip(gathered.color) {
+            L::store(gathered, color);
+        }
+        L::store(gathered.transmittance, &mut packet.transmittance);
     }
     num_samples
 }

@@ -53,20 +53,24 @@ pub(super) unsafe trait Lanes: Copy {
     unsafe fn to_int(a: Self::F) -> Self::I;
     /// The two 16-bit weights `(ONE - w, w)` of a fraction in [0, 1], low half first.
     unsafe fn weights(fraction: Self::F) -> Self::I;
+    /// Numbers at `values + indices`.
+    unsafe fn values(values: *const f32, indices: &I8) -> Self::F;
     /// Two neighbouring samples per ray, at `samples + offsets`.
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> Self::I;
     /// The weighted sum of each pair.
     unsafe fn blend(pairs: Self::I, weights: Self::I) -> Self::F;
+    /// Offsets in bytes of rows of four numbers, from the rows' numbers cut to whole ones; 0 <= a < 2^27.
+    unsafe fn row_offsets(a: Self::F) -> I8;
     /// Rows of a table of four numbers, one array per column.
-    unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [Self::F; 4];
+    unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [Self::F; 4];
     /// Gradients at `gradients + offsets`, interpolated along x, then z, then y.
     unsafe fn gradients(
         gradients: *const [i16; 4],
         offsets: &I8,
         strides: [usize; 2],
-        weights: &I8,
-        wy: &F8,
-        wz: &F8,
+        weights: Self::I,
+        wy: Self::F,
+        wz: Self::F,
     ) -> [Self::F; 4];
 }
 
@@ -164,6 +168,10 @@ unsafe impl Lanes for Plain {
             (w << 16) + (WEIGHT_ONE as i32 - w)
         }))
     }
+    unsafe fn values(values: *const f32, indices: &I8) -> F8 {
+        // SAFETY: readable, as the trait demands.
+        F8(indices.0.map(|i| unsafe { *values.add(i as usize) }))
+    }
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> I8 {
         I8(offsets.0.map(|o| {
             // SAFETY: readable, as the trait demands.
@@ -173,18 +181,21 @@ unsafe impl Lanes for Plain {
     unsafe fn blend(pairs: I8, weights: I8) -> F8 {
         F8(std::array::from_fn(|i| blend_pair([pairs.0[i] as i16, (pairs.0[i] >> 16) as i16], weights.0[i])))
     }
-    unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [F8; 4] {
+    unsafe fn row_offsets(a: F8) -> I8 {
+        I8(a.0.map(|x| (x as i32) << 4))
+    }
+    unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [F8; 4] {
         // SAFETY: readable, as the trait demands.
-        let rows = indices.0.map(|i| unsafe { *table.add(i as usize) });
+        let rows = offsets.0.map(|o| unsafe { *table.byte_add(o as usize) });
         std::array::from_fn(|c| F8(rows.map(|r| r[c])))
     }
     unsafe fn gradients(
         gradients: *const [i16; 4],
         offsets: &I8,
         [row, plane]: [usize; 2],
-        weights: &I8,
-        wy: &F8,
-        wz: &F8,
+        weights: I8,
+        wy: F8,
+        wz: F8,
     ) -> [F8; 4] {
         let mut columns = [F8::default(); 4];
         for ray in 0..8 {
@@ -246,25 +257,48 @@ mod avx2 {
         }
     }
 
-    /// The gradient of one ray.
+    /// The gradients of two rays: four numbers of ray `I` in the lower half, four of ray `I + 4` in the upper.
+    ///
+    /// * `at`: the first sample of each ray's cell
+    /// * `w`, `wy`, `wz`: those of all eight rays
     #[inline(always)]
-    unsafe fn gradient(at: *const [i16; 4], [row, plane]: [usize; 2], w: i32, wy: f32, wz: f32) -> __m128 {
+    unsafe fn two_gradients<const I: i32>(
+        at: [*const [i16; 4]; 2],
+        [row, plane]: [usize; 2],
+        w: __m256i,
+        wy: __m256,
+        wz: __m256,
+    ) -> __m256 {
         // SAFETY: readable, as the trait demands.
         unsafe {
-            let pair = |o: usize| _mm_loadu_si128(at.add(o).cast());
-            let near = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(pair(0)), pair(row));
-            let far = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(pair(plane)), pair(plane + row));
             let order = _mm256_broadcastsi128_si256(_mm_setr_epi8(
                 0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15,
             ));
-            let weights = _mm256_set1_epi32(w);
-            let near = _mm256_madd_epi16(_mm256_shuffle_epi8(near, order), weights);
-            let far = _mm256_madd_epi16(_mm256_shuffle_epi8(far, order), weights);
-            let (near, far) = (_mm256_cvtepi32_ps(near), _mm256_cvtepi32_ps(far));
-            let wz = _mm256_set1_ps(wz);
-            let along_z = _mm256_add_ps(near, _mm256_mul_ps(_mm256_sub_ps(far, near), wz));
-            let (low, high) = (_mm256_castps256_ps128(along_z), _mm256_extractf128_ps::<1>(along_z));
-            _mm_add_ps(low, _mm_mul_ps(_mm_sub_ps(high, low), _mm_set1_ps(wy)))
+            // The same number for all four of a ray: `0b_ii_ii_ii_ii` of each half.
+            let w = match I {
+                0 => _mm256_shuffle_epi32::<0x00>(w),
+                1 => _mm256_shuffle_epi32::<0x55>(w),
+                2 => _mm256_shuffle_epi32::<0xaa>(w),
+                _ => _mm256_shuffle_epi32::<0xff>(w),
+            };
+            let [wy, wz] = match I {
+                0 => [_mm256_permute_ps::<0x00>(wy), _mm256_permute_ps::<0x00>(wz)],
+                1 => [_mm256_permute_ps::<0x55>(wy), _mm256_permute_ps::<0x55>(wz)],
+                2 => [_mm256_permute_ps::<0xaa>(wy), _mm256_permute_ps::<0xaa>(wz)],
+                _ => [_mm256_permute_ps::<0xff>(wy), _mm256_permute_ps::<0xff>(wz)],
+            };
+            let [lower, upper] = at;
+            let along_x = |o: usize| {
+                let lower = _mm_loadu_si128(lower.add(o).cast());
+                let upper = _mm_loadu_si128(upper.add(o).cast());
+                let both = _mm256_shuffle_epi8(_mm256_set_m128i(upper, lower), order);
+                _mm256_cvtepi32_ps(_mm256_madd_epi16(both, w))
+            };
+            let (near, far) = (along_x(0), along_x(plane));
+            let a = _mm256_add_ps(near, _mm256_mul_ps(_mm256_sub_ps(far, near), wz));
+            let (near, far) = (along_x(row), along_x(plane + row));
+            let b = _mm256_add_ps(near, _mm256_mul_ps(_mm256_sub_ps(far, near), wz));
+            _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), wy))
         }
     }
 
@@ -349,6 +383,14 @@ mod avx2 {
             }
         }
         #[inline(always)]
+        unsafe fn values(values: *const f32, indices: &I8) -> __m256 {
+            // SAFETY: readable, as the trait demands.
+            unsafe {
+                let at = |i: usize| *values.add(indices.0[i] as usize);
+                _mm256_setr_ps(at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7))
+            }
+        }
+        #[inline(always)]
         unsafe fn pairs(samples: *const i16, offsets: &I8) -> __m256i {
             // SAFETY: readable, as the trait demands.
             unsafe { _mm256_set_m128i(quad(samples, &offsets.0, 4), quad(samples, &offsets.0, 0)) }
@@ -359,10 +401,17 @@ mod avx2 {
             unsafe { _mm256_cvtepi32_ps(_mm256_madd_epi16(pairs, weights)) }
         }
         #[inline(always)]
-        unsafe fn rows(table: *const [f32; 4], indices: &I8) -> [__m256; 4] {
+        unsafe fn row_offsets(a: __m256) -> I8 {
+            let mut offsets = I8::default();
+            // SAFETY: AVX2 is there.
+            unsafe { Self::store_int(_mm256_slli_epi32::<4>(_mm256_cvttps_epi32(a)), &mut offsets) };
+            offsets
+        }
+        #[inline(always)]
+        unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [__m256; 4] {
             // SAFETY: readable, as the trait demands.
             unsafe {
-                let row = |i: usize| _mm_loadu_ps(table.add(indices.0[i] as usize).cast());
+                let row = |i: usize| _mm_loadu_ps(table.byte_add(offsets.0[i] as usize).cast());
                 transpose([
                     _mm256_set_m128(row(4), row(0)),
                     _mm256_set_m128(row(5), row(1)),
@@ -376,21 +425,18 @@ mod avx2 {
             gradients: *const [i16; 4],
             offsets: &I8,
             strides: [usize; 2],
-            weights: &I8,
-            wy: &F8,
-            wz: &F8,
+            weights: __m256i,
+            wy: __m256,
+            wz: __m256,
         ) -> [__m256; 4] {
             // SAFETY: readable, as the trait demands.
             unsafe {
-                let of = |i: usize| {
-                    let at = gradients.add(offsets.0[i] as usize);
-                    gradient(at, strides, weights.0[i], wy.0[i], wz.0[i])
-                };
+                let at = |i: usize| gradients.offset(offsets.0[i] as isize);
                 transpose([
-                    _mm256_set_m128(of(4), of(0)),
-                    _mm256_set_m128(of(5), of(1)),
-                    _mm256_set_m128(of(6), of(2)),
-                    _mm256_set_m128(of(7), of(3)),
+                    two_gradients::<0>([at(0), at(4)], strides, weights, wy, wz),
+                    two_gradients::<1>([at(1), at(5)], strides, weights, wy, wz),
+                    two_gradients::<2>([at(2), at(6)], strides, weights, wy, wz),
+                    two_gradients::<3>([at(3), at(7)], strides, weights, wy, wz),
                 ])
             }
         }

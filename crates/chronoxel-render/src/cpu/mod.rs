@@ -4,6 +4,7 @@
 //! the screen may see, front to back, and through each with packets of eight rays. Where a sample lies and which brick
 //! owns it follow from the ray alone, so that neither tiles nor threads nor skipping change a pixel.
 
+mod blocks;
 mod kernel;
 mod lanes;
 mod table;
@@ -19,7 +20,7 @@ use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, LightJob, March};
 use table::Table;
-use tile::{Tile, Work};
+use tile::{RaySetup, Tile, Work};
 
 /// How the ray caster goes about it; the picture is the same for every choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,9 +65,8 @@ pub fn render_with(
 pub struct Frame<'a> {
     scene: &'a Scene,
     options: CpuOptions,
-    tile_edge: usize,
-    /// Row by row; `None` where no brick was met yet.
-    tiles: Vec<Option<Tile>>,
+    /// Red, green and blue multiplied by alpha, and transmittance, of every pixel so far.
+    gathered: Image,
     stats: RenderStats,
 }
 
@@ -77,13 +77,12 @@ impl<'a> Frame<'a> {
     /// [`RenderError`] if the scene cannot be drawn.
     pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
         scene.check()?;
-        let tile_edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
-        let num_tiles = scene.size.map(|n| n.div_ceil(tile_edge)).iter().product();
-        let tiles = std::iter::repeat_with(|| None).take(num_tiles).collect();
-        Ok(Self { scene, options, tile_edge, tiles, stats: RenderStats::default() })
+        let mut gathered = Image::new(scene.size[0], scene.size[1])?;
+        gathered.pixels.fill([0.0, 0.0, 0.0, 1.0]);
+        Ok(Self { scene, options, gathered, stats: RenderStats::default() })
     }
 
-    /// Draws bricks behind those drawn before.
+    /// Draws bricks behind those drawn before. Portions do not change a pixel.
     ///
     /// * `bricks`: boxes that do not overlap, front to back
     ///
@@ -102,32 +101,31 @@ impl<'a> Frame<'a> {
             }
             jobs.extend(job);
         }
-        let (scene, edge) = (self.scene, self.tile_edge);
-        let tiles_along = scene.size[0].div_ceil(edge);
-        let lists = bin(&jobs, scene.size, edge);
-        let draw_tile = |(i, (tile, list)): (usize, (&mut Option<Tile>, &Vec<u32>))| {
-            if list.is_empty() {
-                return;
-            }
-            let corner = [i % tiles_along * edge, i / tiles_along * edge];
-            let tile = tile.get_or_insert_with(|| Tile::new(scene, corner, edge));
-            list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
-        };
-        self.tiles.par_iter_mut().zip(&lists).enumerate().with_max_len(1).for_each(draw_tile);
+        let edge = self.options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+        let setup = RaySetup::new(self.scene);
+        let tiles = bin(&jobs, self.scene.size, edge);
+        let gathered = &self.gathered;
+        let drawn: Vec<_> = tiles
+            .into_par_iter()
+            .with_max_len(1)
+            .map_init(Tile::default, |tile, (corner, list)| {
+                tile.begin(&setup, corner, edge, gathered);
+                list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
+                tile.end()
+            })
+            .collect();
+        for block in &drawn {
+            block.copy_to(&mut self.gathered);
+            self.stats.num_samples += block.num_samples;
+        }
         self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
         Ok(())
     }
 
     /// The picture, and what it took.
-    pub fn finish(mut self) -> (Image, RenderStats) {
-        let start = Instant::now();
-        let [width, height] = self.scene.size;
-        let mut image = Image { width, height, pixels: vec![[0.0; 4]; width * height] };
-        for tile in self.tiles.iter().flatten() {
-            tile.copy_to(&mut image);
-            self.stats.num_samples += tile.num_samples();
-        }
-        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+    pub fn finish(self) -> (Image, RenderStats) {
+        let mut image = self.gathered;
+        image.pixels.iter_mut().for_each(|pixel| pixel[3] = 1.0 - pixel[3]);
         (image, self.stats)
     }
 }
@@ -238,7 +236,7 @@ fn march_of<'a>(
         .iter()
         .map(|&range| u8::from(!table.is_transparent_over(range, index_from_sample)))
         .collect();
-    let num_hidden = visible.iter().filter(|v| **v == 0).count();
+    let along_edge = layout.edge / crate::prepared::BLOCK_EDGE;
     let job = BrickJob {
         region,
         samples: &prepared.samples,
@@ -248,12 +246,12 @@ fn march_of<'a>(
         index_from_sample,
         table: &table.entries,
         blocks: None,
-        blocks_along_edge: layout.edge / crate::prepared::BLOCK_EDGE,
+        blocks_along_edge: along_edge,
         mask: prepared.mask.as_ref(),
         light,
     };
     let march: March = kernel::march_for(&job, options.plain);
-    Ok(Some(Work::March(march, job, (num_hidden > 0).then_some(visible))))
+    Ok(Some(Work::March(march, job, blocks::distances(visible, along_edge))))
 }
 
 /// A box in voxels of its level, open at the grid's faces; `None` where it lies on or beyond the far ones.
@@ -297,8 +295,8 @@ fn pixels_of(scene: &Scene, region: [[f64; 3]; 2]) -> Option<[[usize; 2]; 2]> {
     pixels.iter().all(|[from, to]| from < to).then_some(pixels)
 }
 
-/// For each tile, row by row, the jobs that touch it, in order.
-fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<Vec<u32>> {
+/// Tiles that some job touches: their first pixel, and their jobs in order.
+fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<([usize; 2], Vec<u32>)> {
     let along = size.map(|n| n.div_ceil(edge));
     let mut lists = vec![Vec::new(); along[0] * along[1]];
     for (i, job) in jobs.iter().enumerate() {
@@ -309,5 +307,6 @@ fn bin(jobs: &[Job], size: [usize; 2], edge: usize) -> Vec<Vec<u32>> {
             }
         }
     }
-    lists
+    let corner = |i: usize| [i % along[0] * edge, i / along[0] * edge];
+    lists.into_iter().enumerate().filter(|(_, list)| !list.is_empty()).map(|(i, l)| (corner(i), l)).collect()
 }
