@@ -6,7 +6,7 @@ use chronoxel_ingest::{
     TimeSeries,
     sources::{self, SourceOptions},
 };
-use clap::{Args, ValueEnum};
+use clap::Args;
 
 use crate::bytes::ByteSize;
 
@@ -52,9 +52,9 @@ pub struct SourceHints {
     /// Type of the samples of a raw file: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64
     #[arg(long, value_name = "TYPE", value_parser = parse_sample_type)]
     pub dtype: Option<chronoxel_core::SampleType>,
-    /// Byte order of a raw file
-    #[arg(long, value_name = "ORDER", default_value = "little")]
-    pub endian: Endian,
+    /// The samples of a raw file have their highest byte first
+    #[arg(long)]
+    pub big_endian: bool,
     /// Bytes to skip at the start of a raw file
     #[arg(long, value_name = "BYTES", default_value_t = 0)]
     pub header_bytes: u64,
@@ -91,7 +91,7 @@ impl SourceHints {
         let options = SourceOptions {
             dims: self.dims,
             sample_type: self.dtype,
-            big_endian: self.endian == Endian::Big,
+            big_endian: self.big_endian,
             header_bytes: self.header_bytes,
             spacing: self.spacing,
             origin: self.origin,
@@ -101,15 +101,6 @@ impl SourceHints {
         };
         Ok(sources::open(source, &options)?)
     }
-}
-
-/// Byte order of raw files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Endian {
-    /// Lowest byte first.
-    Little,
-    /// Highest byte first.
-    Big,
 }
 
 /// A range of steps `A:B[:S]`, the end left out as in Python.

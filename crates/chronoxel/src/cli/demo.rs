@@ -45,7 +45,7 @@ struct DemoReport {
 }
 
 /// How the pictures are taken, in the words of the command line.
-const LOOK: &str = "--azimuth 25 --elevation 20 --zoom 1.45 --axes --colorbar";
+const LOOK: &str = "--azimuth 25 --elevation 18 --zoom 1.5 --axes --colorbar --time-label";
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
@@ -54,8 +54,8 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .map_err(|e| anyhow::anyhow!("{}: cannot make the folder: {e}", folder.display()))?;
     let (source, movie_size) = match args.size {
-        DemoSize::Small => ("sim:shockbubble?dims=120x48x48&steps=40", "640x360"),
-        DemoSize::Full => ("sim:shockbubble?dims=320x128x128&steps=96", "1280x720"),
+        DemoSize::Small => ("sim:shockbubble?dims=120x48x48&steps=48", "720x405"),
+        DemoSize::Full => ("sim:shockbubble?dims=240x96x96&steps=96", "1280x720"),
     };
     let [store, picture, movie] =
         ["shockbubble.cxl", "shockbubble.png", "shockbubble.gif"].map(|n| folder.join(n));
@@ -85,12 +85,14 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
 
     let transfer = folder.join("shockbubble-colors.json");
     std::fs::write(&transfer, TRANSFER_FUNCTION)?;
-    let time_step = (steps.len() * 3 / 4).to_string();
+    let time_step = (steps.len() * 2 / 5).to_string();
+    // Later the wave has left the box.
+    let movie_steps = format!("0:{}", steps.len() * 3 / 4);
     let look: Vec<&str> = LOOK.split(' ').collect();
     let transfer = ["--tf", path(&transfer)?];
     let render = ["render", path(&store)?, "-o", path(&picture)?, "-t", &time_step, "--size", "1600x900"];
     perform(common, folder, &[&render[..], &transfer, &look].concat())?;
-    let movie_look = ["--size", movie_size, "--orbit", "40", "--fps", "12", "--time-label"];
+    let movie_look = ["--size", movie_size, "--steps", &movie_steps, "--orbit", "40", "--fps", "12"];
     let movie_words = ["movie", path(&store)?, "-o", path(&movie)?];
     perform(common, folder, &[&movie_words[..], &movie_look, &transfer, &look].concat())?;
     let report = DemoReport {
@@ -108,10 +110,19 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Colours of the demo: the light gas, the shocked layers, and what lies behind the wave.
-const TRANSFER_FUNCTION: &str = r#"{"domain": "variable", "points": [
-  {"x": 0.0, "color": [0.2, 0.5, 1.0], "opacity": 0.3},
-  {"x": 1.0, "color": [1.0, 0.4, 0.1], "opacity": 0.1}
+/// Colours of the demo: blue where the gas is light, orange in the shock and the mixed layers, red where waves meet.
+const TRANSFER_FUNCTION: &str = r#"{"domain": [0.1, 2.4], "points": [
+  {"x": 0.00, "color": [0.75, 0.95, 1.00], "opacity": 0.50},
+  {"x": 0.15, "color": [0.35, 0.75, 1.00], "opacity": 0.30},
+  {"x": 0.33, "color": [0.15, 0.35, 0.85], "opacity": 0.04},
+  {"x": 0.37, "color": [0.15, 0.35, 0.85], "opacity": 0.00},
+  {"x": 0.41, "color": [0.95, 0.60, 0.20], "opacity": 0.00},
+  {"x": 0.46, "color": [0.95, 0.60, 0.20], "opacity": 0.10},
+  {"x": 0.70, "color": [1.00, 0.70, 0.25], "opacity": 0.16},
+  {"x": 0.85, "color": [0.95, 0.45, 0.15], "opacity": 0.05},
+  {"x": 0.89, "color": [0.80, 0.25, 0.15], "opacity": 0.00},
+  {"x": 0.94, "color": [0.80, 0.15, 0.15], "opacity": 0.00},
+  {"x": 1.00, "color": [1.00, 0.20, 0.30], "opacity": 0.20}
 ]}
 "#;
 

@@ -216,7 +216,8 @@ impl ViewArgs {
                 transfer: &view.transfer,
                 range: session.variable_range(),
                 name: &variable.name,
-                units: &variable.units,
+                // A pure number has the unit 1, which nobody writes.
+                units: if variable.units == "1" { "" } else { &variable.units },
             };
             occupied.extend(bar.areas(&shown, &style));
             color_bar = Some(bar);
