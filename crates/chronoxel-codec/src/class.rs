@@ -48,6 +48,21 @@ pub struct PayloadClass {
     pub stages: Vec<StageClass>,
 }
 
+impl std::fmt::Display for PayloadClass {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (number, stage) in self.stages.iter().enumerate() {
+            let plus = if number > 0 { " + " } else { "" };
+            match stage.table {
+                TableClass::Affine => write!(f, "{plus}{}-bit affine", stage.index_bits)?,
+                TableClass::Listed { entries, rows } => {
+                    write!(f, "{plus}{}-bit table of {entries} x {rows}", stage.index_bits)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
 impl StageClass {
     /// One affine stage with indices of `index_bits` bits.
     pub const fn affine(index_bits: u8) -> Self {

@@ -127,7 +127,7 @@ pub enum EncodeError {
         /// The brick, along x, y, z.
         brick: [usize; 3],
         /// Why.
-        source: CodecError,
+        source: Box<CodecError>,
     },
     /// A variable of which no sample has a value.
     #[error(
@@ -181,9 +181,9 @@ impl SourceError {
     ) -> Self {
         Self::Corrupt {
             path: path.to_owned(),
-            field: field.into(),
+            field: on_one_line(&field.into()),
             value: quoted(&value.to_string()),
-            problem: problem.into(),
+            problem: on_one_line(&problem.into()),
         }
     }
 
@@ -196,15 +196,19 @@ impl SourceError {
     ) -> Self {
         Self::Unsupported {
             path: path.to_owned(),
-            field: field.into(),
+            field: on_one_line(&field.into()),
             value: quoted(&value.to_string()),
-            remedy: remedy.into(),
+            remedy: on_one_line(&remedy.into()),
         }
     }
 
     /// The caller asked for something that cannot be done.
     pub(crate) fn argument(argument: &'static str, value: impl ToString, remedy: impl Into<String>) -> Self {
-        Self::InvalidArgument { argument, value: quoted(&value.to_string()), remedy: remedy.into() }
+        Self::InvalidArgument {
+            argument,
+            value: quoted(&value.to_string()),
+            remedy: on_one_line(&remedy.into()),
+        }
     }
 
     /// What failed while bytes came through a [`std::io::Read`]: the operating system, or a decoder
@@ -220,6 +224,14 @@ impl SourceError {
             }
         }
     }
+}
+
+/// Longest part of a message that is not a path, in characters.
+const MAX_PART_CHARS: usize = 400;
+
+/// Part of a message, which may repeat names from a file, without what would break its line.
+fn on_one_line(text: &str) -> String {
+    text.chars().take(MAX_PART_CHARS).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
 /// Text from a file as a message may show it: on one line, not too long, never empty.

@@ -1,10 +1,16 @@
 //! From files as scientists have them to a store: sources, analysis, encoding.
 
+pub mod decode;
 pub mod encode;
 pub mod error;
+pub mod export;
+pub mod measure;
 pub mod series;
 pub mod sim;
 pub mod sources;
 
-pub use error::SourceError;
+pub use decode::{StepDecoder, decode_step};
+pub use encode::{Codec, EncodeOptions, EncodeReport, Progress, encode};
+pub use error::{EncodeError, SourceError};
+pub use measure::{Measurement, VariableErrors, measure};
 pub use series::{StepReader, TimeSeries, Variable};

@@ -172,6 +172,15 @@ fn the_same_bits_for_any_number_of_threads_and_after_going_back() {
     assert_eq!(with_threads(3, &[3, 1]), [3, 1].map(|s: usize| one[s].clone()));
 }
 
+#[test]
+fn the_strongest_shock_and_the_smallest_box_stay_sound() {
+    for spec in ["sim:shockbubble?dims=40x16x16&steps=3&mach=10", "sim:shockbubble?dims=8&steps=2"] {
+        let last = sim::open(spec).unwrap().times().num_steps() - 1;
+        let steps = steps_of(spec, &[last]);
+        assert!(steps[0].iter().all(|d| d.is_finite() && *d > 0.0), "{spec}");
+    }
+}
+
 /// The shock runs at its Mach number, and the bubble is carried along and stays light.
 #[test]
 fn the_shock_runs_at_its_mach_number_over_the_bubble() {

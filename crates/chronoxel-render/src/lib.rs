@@ -9,7 +9,7 @@ pub mod prepared;
 pub mod reference;
 pub mod scene;
 
-pub use cpu::{CpuOptions, render, render_with};
+pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
 pub use error::RenderError;
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference};

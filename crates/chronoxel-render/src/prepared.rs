@@ -71,6 +71,12 @@ impl PreparedBrick {
         self.gradients.is_some()
     }
 
+    /// About how many bytes a brick without a mask takes, to plan with.
+    pub fn estimated_bytes(layout: &BrickLayout, lit: bool) -> usize {
+        let num_blocks = (layout.edge / BLOCK_EDGE).pow(3);
+        size_of::<Self>() + 4 * num_blocks + layout.num_full() * if lit { 10 } else { 2 }
+    }
+
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
         size_of::<Self>()

@@ -74,6 +74,15 @@ impl Header {
         }
     }
 
+    /// Bytes of a payload before compression: without the apron's indices, and those.
+    pub(crate) fn payload_bytes(&self, variable: usize, class: u8) -> [u64; 2] {
+        let num_apron = self.bricks.num_full() - self.bricks.num_core();
+        let stages = &self.variables[variable].classes[usize::from(class)].stages;
+        let apron: usize = stages.iter().map(|stage| stage.num_index_bytes() * num_apron).sum();
+        let all: usize = stages.iter().map(|stage| stage.num_bytes(&self.bricks)).sum();
+        [(all - apron) as u64, apron as u64]
+    }
+
     /// Inner chunks of a shard of an array.
     pub(crate) fn num_slots(&self, array: &ArrayId) -> usize {
         self.rows_per_shard(array.window) as usize * self.num_nodes(array.level)

@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn a_damaged_or_oversized_chunk_is_an_error() {
-        let bytes: Vec<u8> = (0..5000u32).map(|i| (i * i >> 7) as u8).collect();
+        let bytes: Vec<u8> = (0..5000u32).map(|i| ((i * i) >> 7) as u8).collect();
         let stored = encode(&bytes, 1).unwrap();
         assert!(stored.len() <= largest_stored(bytes.len()));
         assert_eq!(decode(&stored, 5000).unwrap(), bytes);

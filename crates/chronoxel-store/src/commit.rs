@@ -1,8 +1,11 @@
 //! Commits: what is complete becomes part of the store, what is not goes to the journal.
 //!
-//! The order is what makes a crash at any moment harmless: data synced under temporary names, renamed; then the
+//! The order is what makes a kill at any moment harmless: data written under temporary names, renamed; then the
 //! journal's state; then the header. A header never speaks of rows that are not there, and a state older than
 //! the files is restored by taking the files back (see `resume`).
+//!
+//! A disk takes milliseconds to sync one file and hardly more for a hundred at once, so files are synced in groups. What a
+//! machine that stops may lose is what was written since the last group; the state lists it, and a resume checks it.
 
 use std::path::PathBuf;
 
@@ -17,6 +20,11 @@ use crate::{
     spans::SpanChunk,
     writer::StoreWriter,
 };
+
+/// Files are synced once so many bytes of them are written,
+const SYNC_BYTES: u64 = 64 << 20;
+/// or so many files.
+const SYNC_FILES: usize = 100;
 
 /// A file on its way from its temporary name to its own.
 struct Closing {
@@ -37,16 +45,37 @@ impl StoreWriter {
         let zstd_level = self.header.zstd_level;
         let closed: Result<Vec<_>, StoreError> =
             closing.into_par_iter().map(|closing| closing.close(zstd_level)).collect();
-        let open: Vec<&mut OpenShard> =
-            self.windows.values_mut().flat_map(|window| window.shards.values_mut()).collect();
-        open.into_par_iter().try_for_each(OpenShard::sync)?;
+        for shard in self.windows.values_mut().flat_map(|window| window.shards.values_mut()) {
+            shard.flush()?;
+        }
         for (temporary, path, len) in closed? {
             files::rename(&temporary, &path)?;
             self.header.totals.data_bytes += len;
+            self.unsynced_bytes += len;
+            self.unsynced.push((path, len));
         }
         self.header.num_steps_finished = self.num_steps_closed();
+        let last = num_put == self.header.num_steps();
+        if last || self.unsynced_bytes >= SYNC_BYTES || self.unsynced.len() >= SYNC_FILES {
+            self.sync()?;
+        }
         self.write_state()?;
         self.write_header()
+    }
+
+    fn unsynced_relative(&self) -> Vec<(PathBuf, u64)> {
+        let relative = |path: &PathBuf| path.strip_prefix(&self.root).unwrap_or(path).to_owned();
+        self.unsynced.iter().map(|(path, len)| (relative(path), *len)).collect()
+    }
+
+    /// Waits until everything written so far is on disk.
+    pub(crate) fn sync(&mut self) -> Result<(), StoreError> {
+        let mut paths: Vec<PathBuf> = self.unsynced.drain(..).map(|(path, _)| path).collect();
+        let open = self.windows.values().flat_map(|window| window.shards.values());
+        paths.extend(open.map(|shard| shard.path().to_owned()));
+        paths.push(self.journal_path("digests"));
+        self.unsynced_bytes = 0;
+        files::sync_all(&paths)
     }
 
     /// Rows of a window length that are complete: every node's cover reaches past the starts that belong to them.
@@ -144,12 +173,13 @@ impl StoreWriter {
             num_steps_finished: self.header.num_steps_finished,
             totals: self.header.totals,
             ranges: self.header.variables.iter().map(|v| [v.min, v.max]).collect(),
+            unsynced: self.unsynced_relative(),
             num_digests: self.num_digests,
             digests_crc: self.digests_crc,
             windows,
         };
         let temporary = self.journal_path("state.new");
-        files::write_synced(&temporary, &journal::state_bytes(&summary, &numbers)?)?;
+        files::write(&temporary, &journal::state_bytes(&summary, &numbers)?)?;
         files::rename(&temporary, &self.journal_path("state"))
     }
 }
@@ -162,7 +192,7 @@ impl Closing {
             Content::Spans(spans) => {
                 let stored = spans.encode(zstd_level);
                 let stored = stored.map_err(StoreError::io(&self.path, "compress"))?;
-                files::write_synced(&self.temporary, &stored)?;
+                files::write(&self.temporary, &stored)?;
                 stored.len() as u64
             }
         };

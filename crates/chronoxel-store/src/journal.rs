@@ -4,7 +4,7 @@
 //! says how much of it is good. Shards that are not complete lie beside them. All of it is gone once the
 //! store is finished, so its form may change with any version.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +22,8 @@ pub(crate) struct StateSummary {
     pub num_steps_finished: u32,
     pub totals: Totals,
     pub ranges: Vec<[Option<f64>; 2]>,
+    /// Files that may not be on disk yet, relative to the store, and their lengths.
+    pub unsynced: Vec<(PathBuf, u64)>,
     pub num_digests: u64,
     pub digests_crc: u32,
     pub windows: Vec<WindowSummary>,

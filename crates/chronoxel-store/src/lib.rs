@@ -1,10 +1,10 @@
 //! The Chronoxel store: a Zarr v3 group of compressed bricks, written so that a crash at any moment
 //! leaves a store that opens, read as if every byte were hostile. The format is `docs/format.md`.
 //!
-//! Writing: `StoreWriter::create` (or `resume`), then for each step
-//! `put` for each variable and level and `commit_step`, at last
-//! `finish`. Reading: `Store::open`, `Store::spans` for the covers of all nodes of a
-//! level at a step, `Store::read_payload`. `verify` checks every byte and every invariant.
+//! Writing: [`StoreWriter::create`] (or [`StoreWriter::resume`]), then for each step
+//! [`StoreWriter::put`] for each variable and level and [`StoreWriter::commit_step`], at last
+//! [`StoreWriter::finish`]. Reading: [`Store::open`], [`Store::spans`] for the covers of all nodes of a
+//! level at a step, [`Store::read_payload`]. [`verify()`] checks every byte and every invariant.
 
 mod arrays;
 mod cache;
@@ -22,10 +22,13 @@ mod shard;
 pub mod span_write;
 pub mod spans;
 pub mod store;
+pub mod verify;
+mod verify_shard;
 pub mod writer;
 
 pub use error::StoreError;
 pub use header::{Header, LevelEntry, StoreDescription, Totals, VariableDescription, VariableEntry};
 pub use span_write::{SpanContent, SpanWrite};
 pub use store::Store;
+pub use verify::{VerifyReport, verify};
 pub use writer::StoreWriter;

@@ -292,13 +292,9 @@ impl<'a> Put<'a> {
             header.totals.mask_bytes += stored_bytes;
             return;
         };
-        let layout = header.bricks;
-        let num_apron = layout.num_full() - layout.num_core();
-        for stage in &header.variables[usize::from(self.variable)].classes[usize::from(class)].stages {
-            let apron = stage.num_index_bytes() * num_apron;
-            header.totals.apron_bytes += apron as u64;
-            header.totals.core_bytes += (stage.num_bytes(&layout) - apron) as u64;
-        }
+        let [core, apron] = header.payload_bytes(usize::from(self.variable), class);
+        header.totals.core_bytes += core;
+        header.totals.apron_bytes += apron;
         header.totals.coded += 1;
         header.totals.payload_bytes += stored_bytes;
     }

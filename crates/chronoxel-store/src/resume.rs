@@ -91,6 +91,16 @@ impl StoreWriter {
         for (entry, range) in writer.header.variables.iter_mut().zip(&summary.ranges) {
             [entry.min, entry.max] = *range;
         }
+        for (file, len) in &summary.unsynced {
+            let path = path.join(file);
+            let found = fs::metadata(&path).map(|metadata| metadata.len()).unwrap_or(0);
+            if found != *len {
+                let problem = format!("{len} were written before the machine stopped: encode the store anew");
+                return Err(StoreError::corrupt(&path, "size in bytes", found, problem));
+            }
+            writer.unsynced.push((path, *len));
+            writer.unsynced_bytes += len;
+        }
         writer.restore_digests(summary)?;
         let mut numbers = Numbers { path: &state, rest: numbers };
         for covered in writer.covered.iter_mut().flatten() {

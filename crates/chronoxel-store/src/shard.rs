@@ -68,6 +68,10 @@ impl OpenShard {
         Ok(Self { path, file, index, len, pending: Vec::new(), chunk_bytes })
     }
 
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     pub fn index(&self) -> &[[u64; 2]] {
         &self.index
     }
@@ -91,19 +95,13 @@ impl OpenShard {
         Ok(())
     }
 
-    /// Waits until everything appended so far is on disk.
-    pub fn sync(&mut self) -> Result<(), StoreError> {
-        self.flush()?;
-        self.file.sync_data().map_err(StoreError::io(&self.path, "sync"))
-    }
-
     /// Appends the index; the file is then complete, and as long as is returned.
     pub fn close(mut self) -> Result<u64, StoreError> {
         let mut index: Vec<u8> = Vec::with_capacity(16 * self.index.len() + 4);
         self.index.iter().flatten().for_each(|number| index.extend_from_slice(&number.to_le_bytes()));
         index.extend_from_slice(&crc32c::crc32c(&index).to_le_bytes());
         self.pending.extend_from_slice(&index);
-        self.sync()?;
+        self.flush()?;
         Ok(self.len + index.len() as u64)
     }
 

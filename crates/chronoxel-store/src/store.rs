@@ -5,7 +5,10 @@
 
 use std::{
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use chronoxel_codec::{Payload, stage_from_bytes};
@@ -41,6 +44,8 @@ pub struct Store {
     tree: Octree,
     spans: ByteCache<SpanChunkId, SpanChunk>,
     shards: ByteCache<ShardId, ShardFile>,
+    /// Bytes of shards and spans read so far.
+    bytes_read: AtomicU64,
 }
 
 impl Store {
@@ -62,6 +67,7 @@ impl Store {
             tree,
             spans: ByteCache::new(CACHE_BYTES, usize::MAX),
             shards: ByteCache::new(CACHE_BYTES, MAX_OPEN_FILES),
+            bytes_read: AtomicU64::new(0),
         })
     }
 
@@ -88,6 +94,11 @@ impl Store {
     /// Whether every step of the series is there.
     pub fn is_complete(&self) -> bool {
         self.header.num_steps_finished == self.header.num_steps()
+    }
+
+    /// Bytes of payloads, masks, shard indexes and spans that were read since the store was opened.
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes_read.load(Ordering::Relaxed)
     }
 
     /// Bytes of all files of the store.
@@ -181,6 +192,7 @@ impl Store {
             StoreError::corrupt(&path, "spans", format!("{} bytes", stored.len()), problem)
         })?;
         let (bytes, chunk) = (chunk.num_bytes(), Arc::new(chunk));
+        self.bytes_read.fetch_add(stored.len() as u64, Ordering::Relaxed);
         self.spans.insert(*id, chunk.clone(), bytes);
         Ok(Some(chunk))
     }
@@ -225,7 +237,7 @@ impl Store {
                 }
             }
         }
-        for (index, stage, bytes) in self.read_chunks(wanted) {
+        for Chunk { index, stage, bytes } in self.read_chunks(wanted) {
             match (&mut results[index], bytes) {
                 (Ok(stages), Ok(bytes)) => stages[stage] = bytes,
                 (result @ Ok(_), Err(error)) => *result = Err(error),
@@ -256,7 +268,7 @@ impl Store {
         let Some(at) = span.mask else { return Ok(None) };
         let array = ArrayId { variable: variable as u16, level, window: span.window, kind: ArrayKind::Mask };
         let place = self.place(array, at, span.start);
-        let Some((_, _, bytes)) = self.read_chunks(vec![(place, 0, 0)]).pop() else { return Ok(None) };
+        let Some(Chunk { bytes, .. }) = self.read_chunks(vec![(place, 0, 0)]).pop() else { return Ok(None) };
         let bytes = bytes?;
         let unused = bytes.len() * 8 - self.header.bricks.num_full();
         if bytes.last().is_some_and(|last| unused > 0 && last >> (8 - unused) != 0) {
@@ -276,6 +288,7 @@ impl Store {
         let num_slots = self.header.num_slots(&id.array);
         let opened = ShardFile::open(&path, num_slots, self.header.chunk_bytes(&id.array))?;
         Ok(opened.map(|shard| {
+            self.bytes_read.fetch_add(16 * num_slots as u64 + 4, Ordering::Relaxed);
             let (bytes, shard) = (shard.num_bytes(), Arc::new(shard));
             self.shards.insert(*id, shard.clone(), bytes);
             shard
@@ -339,10 +352,7 @@ impl Store {
     }
 
     /// Reads inner chunks, those of a shard in the order in which they lie in it.
-    fn read_chunks(
-        &self,
-        mut wanted: Vec<(Place, usize, usize)>,
-    ) -> Vec<(usize, usize, Result<Vec<u8>, StoreError>)> {
+    fn read_chunks(&self, mut wanted: Vec<(Place, usize, usize)>) -> Vec<Chunk> {
         wanted.sort_unstable_by_key(|(place, ..)| (place.shard, place.slot));
         let mut results = Vec::with_capacity(wanted.len());
         for same_shard in wanted.chunk_by(|a, b| a.0.shard == b.0.shard) {
@@ -358,7 +368,10 @@ impl Store {
                 };
                 match extent {
                     Ok(extent) => extents.push((extent, place, index, stage)),
-                    Err(problem) => results.push((index, stage, Err(self.place_error(&place, problem)))),
+                    Err(problem) => {
+                        let bytes = Err(self.place_error(&place, problem));
+                        results.push(Chunk { index, stage, bytes });
+                    }
                 }
             }
             extents.sort_unstable_by_key(|(extent, ..)| *extent);
@@ -374,7 +387,7 @@ impl Store {
         &self,
         shard: &ShardFile,
         extents: &[([u64; 2], Place, usize, usize)],
-        results: &mut Vec<(usize, usize, Result<Vec<u8>, StoreError>)>,
+        results: &mut Vec<Chunk>,
     ) {
         let mut rest = extents;
         while let Some(&([start, first_len], ..)) = rest.first() {
@@ -389,6 +402,7 @@ impl Store {
             let (run, after) = rest.split_at(num);
             rest = after;
             let bytes = shard.read_range(start, (end - start) as usize);
+            self.bytes_read.fetch_add(end - start, Ordering::Relaxed);
             let decoded = run.par_iter().map(|&([offset, len], place, index, stage)| {
                 let bytes = bytes.as_ref().map_err(|error| self.place_error(&place, error.without_path()));
                 let from = (offset - start) as usize;
@@ -396,7 +410,7 @@ impl Store {
                     let stored = &bytes[from..from + len as usize];
                     shard.decode(stored).map_err(|problem| self.place_error(&place, problem))
                 });
-                (index, stage, decoded)
+                Chunk { index, stage, bytes: decoded }
             });
             results.par_extend(decoded);
         }
@@ -427,6 +441,15 @@ impl Store {
             problem,
         }
     }
+}
+
+/// The bytes of a stage or a mask that was asked for.
+struct Chunk {
+    /// Which of the spans asked for.
+    index: usize,
+    /// Which of its stages.
+    stage: usize,
+    bytes: Result<Vec<u8>, StoreError>,
 }
 
 /// Where an inner chunk is looked for.
@@ -464,7 +487,12 @@ pub(crate) fn find_header(root: &Path) -> Result<Option<Header>, StoreError> {
 }
 
 /// The Morton indices of a level, checked against its bricks.
-fn read_nodes(root: &Path, level: u8, num_nodes: usize, bricks: [usize; 3]) -> Result<Vec<u64>, StoreError> {
+pub(crate) fn read_nodes(
+    root: &Path,
+    level: u8,
+    num_nodes: usize,
+    bricks: [usize; 3],
+) -> Result<Vec<u64>, StoreError> {
     let path = root.join(nodes_file(level));
     let due = 8 * num_nodes as u64 + 4;
     let Some(bytes) = files::read_whole(&path, due)? else {

@@ -1,2 +1,7 @@
 //! The `chronoxel` command.
-fn main() {}
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    chronoxel::cli::run()
+}

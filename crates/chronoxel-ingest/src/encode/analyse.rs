@@ -54,8 +54,8 @@ pub(super) fn range_of<T: Real>(samples: &[T]) -> (T, T) {
         high[lane] = if v > high[lane] { v } else { high[lane] };
     };
     for chunk in chunks {
-        for lane in 0..LANES {
-            take(lane, chunk[lane]);
+        for (lane, &v) in chunk.iter().enumerate() {
+            take(lane, v);
         }
     }
     for (lane, &v) in rest.iter().enumerate() {
@@ -122,6 +122,8 @@ fn statistics<T: Real>(core: &Core<'_, T>, masked: bool) -> SpanStatistics {
     let n = count as f64;
     let mean = ((pivot.to_f64() * unit + sum / n) / unit).clamp(min, max);
     let std = ((squares - sum * (sum / n)).max(0.0) / n).sqrt() / unit;
+    // No deviation exceeds half the range; rounding may, and beyond f64's range.
+    let std = std.min(0.5 * max - 0.5 * min);
     SpanStatistics { count, min, max, mean, std }
 }
 
@@ -149,8 +151,8 @@ fn moments_unmasked<T: Real>(core: &Core<'_, T>, pivot: f64, unit: f64) -> Momen
     for row in core.rows() {
         let (chunks, rest) = row.as_chunks::<LANES>();
         for chunk in chunks {
-            for lane in 0..LANES {
-                take(lane, chunk[lane]);
+            for (lane, &v) in chunk.iter().enumerate() {
+                take(lane, v);
             }
         }
         for (lane, &v) in rest.iter().enumerate() {

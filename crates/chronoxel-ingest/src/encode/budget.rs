@@ -15,35 +15,96 @@ pub struct Portions {
 
 /// Slabs larger than this are not read faster.
 const LARGEST_SLAB_BYTES: u64 = 4 << 20;
-const LARGEST_BATCH: usize = 256;
+/// Batches larger than this only leave the cache, as long as every thread has a few bricks.
+const LARGEST_BATCH: usize = 64;
+/// The program itself.
+const FIXED_BYTES: u64 = 6 << 20;
+/// A thread's stack and its compressor.
+const THREAD_BYTES: u64 = 1 << 20;
+/// What the writer keeps of a payload so that an equal one is stored once, and of how many at most.
+const DIGEST_BYTES: u64 = 128;
+const MAX_DIGESTS: u64 = 1 << 20;
+/// What the writer keeps of a node in the step being written: its record, its place in the open shards.
+const NODE_BYTES: u64 = 256;
+
+/// What the working set follows from.
+#[derive(Debug, Clone, Copy)]
+pub struct Task<'a> {
+    /// The levels, finest first.
+    pub levels: &'a [LevelGeometry],
+    /// The shape of bricks.
+    pub layout: &'a BrickLayout,
+    /// The widest type among the variables.
+    pub sample_type: SampleType,
+    /// Number of variables times number of steps.
+    pub num_volumes: u64,
+    /// Threads that code bricks.
+    pub num_threads: usize,
+}
 
 /// The largest portions that fit `memory_bytes`.
 ///
-/// * `sample_types`: of all variables to encode; the widest counts
-///
 /// # Errors
 /// [`EncodeError::Memory`] if even the smallest do not fit.
-pub fn portions(
-    levels: &[LevelGeometry],
-    layout: &BrickLayout,
-    sample_types: impl Iterator<Item = SampleType>,
-    num_threads: usize,
-    memory_bytes: u64,
-) -> Result<Portions, EncodeError> {
-    let widest = sample_types.map(|t| (held_bytes(t), t.num_bytes() as u64)).max().unwrap_or((4, 4));
-    let needed = |slab: usize, batch: usize| {
-        slices_bytes(levels, layout, widest, slab).saturating_add(bricks_bytes(layout, widest.0, num_threads, batch))
-    };
+pub fn portions(task: &Task<'_>, memory_bytes: u64) -> Result<Portions, EncodeError> {
+    let needed = |slab, batch| task.needed(Portions { slab_slices: slab, batch_bricks: batch });
     if needed(1, 1) > memory_bytes {
         return Err(EncodeError::Memory { given: memory_bytes, needed: needed(1, 1) });
     }
-    let slice_bytes = area(&levels[0]) * widest.0;
-    let most_slices = (LARGEST_SLAB_BYTES / slice_bytes.max(1)).clamp(1, layout.edge as u64) as usize;
-    let most_bricks = levels[0].bricks[0].saturating_mul(levels[0].bricks[1]).min(LARGEST_BATCH);
+    let finest = &task.levels[0];
+    let slice_bytes = area(finest) * task.held_bytes();
+    let most_slices = (LARGEST_SLAB_BYTES / slice_bytes.max(1)).clamp(1, task.layout.edge as u64) as usize;
+    let most_bricks =
+        finest.bricks[0].saturating_mul(finest.bricks[1]).min(LARGEST_BATCH.max(4 * task.num_threads));
     // Batches first: without enough bricks at once, threads stand idle.
     let batch_bricks = largest(most_bricks, |batch| needed(1, batch) <= memory_bytes);
     let slab_slices = largest(most_slices, |slab| needed(slab, batch_bricks) <= memory_bytes);
     Ok(Portions { slab_slices, batch_bricks })
+}
+
+impl Task<'_> {
+    fn held_bytes(&self) -> u64 {
+        if self.sample_type.fits_f32() { 4 } else { 8 }
+    }
+
+    /// The least memory for some portions; a sixteenth more for what the allocator cannot use.
+    fn needed(&self, portions: Portions) -> u64 {
+        let parts = [
+            FIXED_BYTES + THREAD_BYTES * self.num_threads as u64,
+            self.slices_bytes(portions.slab_slices),
+            self.bricks_bytes(portions.batch_bricks),
+            self.writer_bytes(),
+        ];
+        let sum = parts.into_iter().fold(0, u64::saturating_add);
+        sum.saturating_add(sum / 16)
+    }
+
+    /// The windows of all levels, the slab that the reader holds, and what the reader itself needs to make it.
+    fn slices_bytes(&self, slab: usize) -> u64 {
+        let raw = self.sample_type.num_bytes() as u64;
+        let mut bytes = area(&self.levels[0]).saturating_mul(slab as u64 * (self.held_bytes() + raw));
+        for level in self.levels {
+            // What is complete at level 0 arrives here at once; it is at most an edge's worth.
+            let portion = if level.level == 0 { slab } else { (self.layout.edge >> level.level) + 2 };
+            let slices = level.field_dims[2].min(self.layout.full_edge() + portion) as u64;
+            bytes = bytes.saturating_add(area(level).saturating_mul(slices * self.held_bytes()));
+        }
+        bytes
+    }
+
+    /// For each thread a brick being cut and quantised; for each brick of a batch its bytes, while those of the
+    /// batch before are compressed.
+    fn bricks_bytes(&self, batch: usize) -> u64 {
+        let full = self.layout.num_full() as u64;
+        full * ((self.held_bytes() + 4) * self.num_threads as u64 + 8 * batch as u64)
+    }
+
+    fn writer_bytes(&self) -> u64 {
+        let nodes = |level: &LevelGeometry| level.bricks.iter().map(|&n| n as u64).product::<u64>();
+        let num_nodes = self.levels.iter().map(nodes).fold(0, u64::saturating_add);
+        let digests = num_nodes.saturating_mul(self.num_volumes).min(MAX_DIGESTS);
+        digests * DIGEST_BYTES + num_nodes.saturating_mul(NODE_BYTES)
+    }
 }
 
 /// The largest of `1 ..= most` that fits, halving; 1 fits.
@@ -55,30 +116,8 @@ fn largest(most: usize, fits: impl Fn(usize) -> bool) -> usize {
     n.max(1)
 }
 
-fn held_bytes(sample_type: SampleType) -> u64 {
-    if sample_type.fits_f32() { 4 } else { 8 }
-}
-
 fn area(level: &LevelGeometry) -> u64 {
     (level.field_dims[0] as u64).saturating_mul(level.field_dims[1] as u64)
-}
-
-/// The windows of all levels, the slab that the reader holds, and what the reader itself needs to make it.
-fn slices_bytes(levels: &[LevelGeometry], layout: &BrickLayout, (held, raw): (u64, u64), slab: usize) -> u64 {
-    let mut bytes = area(&levels[0]).saturating_mul(slab as u64 * (held + raw));
-    for level in levels {
-        // What is complete at level 0 arrives here at once; it is at most an edge's worth.
-        let portion = if level.level == 0 { slab } else { (layout.edge >> level.level) + 2 };
-        let slices = level.field_dims[2].min(layout.full_edge() + portion);
-        bytes = bytes.saturating_add(area(level).saturating_mul(slices as u64 * held));
-    }
-    bytes
-}
-
-/// For each thread a brick being cut and quantised; for each brick of a batch its indices, bytes and compressed bytes.
-fn bricks_bytes(layout: &BrickLayout, held: u64, num_threads: usize, batch: usize) -> u64 {
-    let full = layout.num_full() as u64;
-    full * ((held + 4) * num_threads as u64 + 8 * batch as u64)
 }
 
 #[cfg(test)]
@@ -90,9 +129,16 @@ mod tests {
     fn small_budgets_give_small_portions_and_smaller_ones_an_error() {
         let layout = BrickLayout::new(32).unwrap();
         let levels = levels_of(&UniformGrid::new([1024; 3], [0.0; 3], [1.0; 3]).unwrap(), &layout);
-        let at = |bytes| portions(&levels, &layout, [SampleType::F32].into_iter(), 2, bytes);
+        let task = Task {
+            levels: &levels,
+            layout: &layout,
+            sample_type: SampleType::F32,
+            num_volumes: 1,
+            num_threads: 2,
+        };
+        let at = |bytes| portions(&task, bytes);
         let ample = at(1 << 33).unwrap();
-        assert_eq!((ample.slab_slices, ample.batch_bricks), (1, 256));
+        assert_eq!((ample.slab_slices, ample.batch_bricks), (1, 64));
         let Err(EncodeError::Memory { needed, .. }) = at(1 << 20) else { panic!("1 MiB cannot be enough") };
         // 35 slices of 4 MiB at least; an eighth of the step would be 512 MiB.
         assert!(needed > 35 << 22 && needed < 300 << 20, "{needed}");

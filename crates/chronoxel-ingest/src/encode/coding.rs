@@ -14,8 +14,6 @@ use super::real::Real;
 pub struct Demand {
     /// Bits per index where no error bound is given.
     pub bits: u8,
-    /// Whether all samples are whole numbers: source samples of an integer type, so level 0 alone.
-    pub whole_numbers: bool,
     /// Largest absolute error allowed; `None`: whatever `bits` give.
     pub bound: Option<f64>,
     /// Whether a bound that 16 bits cannot hold is an error: on source samples, so level 0 alone. Elsewhere 16
@@ -84,27 +82,35 @@ pub fn code<T: Real + SampleValue>(
     if let Some(value) = constant {
         return Ok(CodedBrick { choice: Choice::Constant(value), mask, drawn_range: [value; 2] });
     }
+    let whole_numbers = samples.iter().all(|v| v.is_masked() || is_whole(v.to_f64()));
     if mask.is_some() {
-        pad(samples, layout.full_edge(), demand.whole_numbers);
+        pad(samples, layout.full_edge(), whole_numbers);
     }
-    let payload = Payload { stages: vec![stage(samples, mask.as_ref(), demand)?] };
+    let payload = Payload { stages: vec![stage(samples, mask.as_ref(), whole_numbers, demand)?] };
     let drawn_range = decoded_range(&payload, layout, 1).map_err(Refusal::Codec)?;
     Ok(CodedBrick { choice: Choice::Coded(payload), mask, drawn_range })
+}
+
+/// Whether a number is whole and below 2^53: whatever type a source has, such samples can be coded without loss.
+fn is_whole(value: f64) -> bool {
+    const LARGEST: f64 = (1u64 << 53) as f64;
+    value.abs() < LARGEST && value as i64 as f64 == value
 }
 
 fn stage<T: Real + SampleValue>(
     samples: &[T],
     mask: Option<&BitMask>,
+    whole_numbers: bool,
     demand: &Demand,
 ) -> Result<Stage, Refusal> {
-    let quantize = |bits| quantize_affine(samples, demand.whole_numbers, bits).map_err(Refusal::Codec);
+    let quantize = |bits| quantize_affine(samples, whole_numbers, bits).map_err(Refusal::Codec);
     let Some(bound) = demand.bound else {
         return quantize(demand.bits);
     };
     let (low, high) = range_of(samples);
     let width = high.to_f64() - low.to_f64();
     // A step of more than twice the bound cannot hold it but by luck: not worth a try.
-    if width <= 255.0 * 2.0 * bound || demand.whole_numbers && width <= 255.0 {
+    if width <= 255.0 * 2.0 * bound || whole_numbers && width <= 255.0 {
         let stage = quantize(8)?;
         if largest_error(samples, mask, &stage) <= bound {
             return Ok(stage);

@@ -62,8 +62,8 @@ fn range_if_plain<T: Real>(slice: &[T], fill: T) -> Option<[f64; 2]> {
     };
     let (chunks, rest) = slice.as_chunks::<LANES>();
     for chunk in chunks {
-        for lane in 0..LANES {
-            take(lane, chunk[lane]);
+        for (lane, &v) in chunk.iter().enumerate() {
+            take(lane, v);
         }
     }
     for (lane, &v) in rest.iter().enumerate() {

@@ -2,8 +2,9 @@
 //!
 //! MUSCL–Hancock along one axis after another (Toro 2009, sections 13.4, 14.4 and 16.2): limited slopes of density,
 //! velocity and pressure, half a step in each cell, HLLC fluxes (Toro 2009, section 10.4) with Einfeldt's wave
-//! speeds. The order of the axes alternates, which keeps second order. Where a slope would make a density or
-//! pressure at a face negative, the cell uses none: the first-order scheme keeps both positive.
+//! speeds. The order of the axes alternates, which keeps second order. Where a slope would leave less than a
+//! tenth of a density or pressure at a face, the cell uses none and is first order. Where a cell is all but empty,
+//! its fluxes are taken from a least density and pressure; what is conserved is never changed.
 //!
 //! The sweep axis lies contiguous; the state is turned between sweeps.
 

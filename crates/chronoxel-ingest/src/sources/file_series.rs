@@ -215,11 +215,11 @@ fn known_times(files: &[Box<dyn VolumeFile>]) -> Result<Option<Vec<f64>>, Source
 
 /// The step numbers the files give, where each has one and they increase.
 fn step_numbers(files: &[Box<dyn VolumeFile>]) -> Option<Vec<f64>> {
-    let number = |file: &Box<dyn VolumeFile>| match file.header().times {
+    let number = |header: &FileHeader| match header.times {
         FileTimes::StepNumber(number) => Some(number),
         _ => None,
     };
-    let numbers: Vec<f64> = files.iter().map(number).collect::<Option<_>>()?;
+    let numbers: Vec<f64> = files.iter().map(|f| number(f.header())).collect::<Option<_>>()?;
     numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
 }
 

@@ -18,6 +18,7 @@ mod volume_file;
 mod vti;
 mod vtk_data;
 mod xml;
+mod zarr;
 
 use std::path::{Path, PathBuf};
 
@@ -72,21 +73,50 @@ impl SourceOptions {
     }
 }
 
-/// Opens a source: files in the order given, or those that globs match in natural order.
+/// Opens a source: files in the order given, those that globs match in natural order, or a built-in simulation.
 ///
 /// Each file may hold one step or several; all must have the same grid and variables. Times are the files' own
 /// where all have them, else the step's number times `dt`.
 ///
-/// * `inputs`: paths and globs
+/// * `inputs`: paths and globs, or one `sim:NAME?key=value&…`
 ///
 /// # Errors
 /// [`SourceError`] naming the file, the field and the value if one cannot be opened or they do not agree.
 pub fn open(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn TimeSeries>, SourceError> {
+    if let Some(spec) = inputs.iter().find(|input| input.starts_with("sim:")) {
+        return open_simulation(spec, inputs.len(), options);
+    }
     let mut files = Vec::new();
     for path in expand(inputs)? {
         files.extend(open_files(&path, options)?);
     }
     Ok(Box::new(FileSeries::new(files, options)?))
+}
+
+/// Opens a built-in simulation, which takes its settings in its name.
+fn open_simulation(
+    spec: &str,
+    num_inputs: usize,
+    options: &SourceOptions,
+) -> Result<Box<dyn TimeSeries>, SourceError> {
+    if num_inputs > 1 {
+        return Err(SourceError::argument("SOURCE", spec, "a simulation cannot be joined with other inputs"));
+    }
+    let series = crate::sim::open(spec)?;
+    let names: Vec<&str> = series.variables().iter().map(|v| v.name.as_str()).collect();
+    if let Some(other) = options.variables.iter().find(|name| !names.contains(&name.as_str())) {
+        return Err(SourceError::argument(
+            "--variable",
+            other,
+            format!("the source has {}", names.join(", ")),
+        ));
+    }
+    if (SourceOptions { variables: Vec::new(), ..options.clone() }) != SourceOptions::default() {
+        let remedy = "a simulation takes its settings after its name, as in sim:plume?dims=64; leave out --dims, \
+                      --dtype, --spacing and --dt";
+        return Err(SourceError::argument("SOURCE", spec, remedy));
+    }
+    Ok(series)
 }
 
 /// Opens one path: a collection gives several files.
@@ -111,7 +141,7 @@ fn open_file(
         Format::Npy => npy::open(path),
         Format::Nrrd => nrrd::open(path),
         Format::Vti => vti::open(path),
-        Format::Zarr => Err(SourceError::unsupported(path, "format", "Zarr", "soon")),
+        Format::Zarr => zarr::open(path, options),
         Format::Pvd => {
             let remedy = "a collection cannot hold collections; name the volumes themselves";
             Err(SourceError::unsupported(path, "format", format.name(), remedy))
@@ -142,7 +172,7 @@ fn matches(pattern: &str) -> Result<Vec<PathBuf>, SourceError> {
         .map_err(|e| SourceError::argument("SOURCE", pattern, format!("the glob is wrong: {}", e.msg)))?;
     let mut paths = Vec::new();
     for path in found {
-        paths.push(path.map_err(|e| SourceError::io(&e.path().to_owned(), "list", e.into()))?);
+        paths.push(path.map_err(|e| SourceError::io(&PathBuf::from(e.path()), "list", e.into()))?);
     }
     if paths.is_empty() {
         return Err(SourceError::argument(

@@ -22,7 +22,7 @@ struct RawFile {
 pub(crate) fn open(path: &Path, options: &SourceOptions) -> Result<Box<dyn VolumeFile>, SourceError> {
     let missing = |option| {
         let remedy =
-            format!("{} is raw binary; say what is in it, as in --dims 64,64,64 --dtype f32", path.display());
+            format!("{} is raw binary; say what is in it, as in --dims 64x64x64 --dtype f32", path.display());
         SourceError::argument(option, "is missing", remedy)
     };
     let dims = options.dims.ok_or_else(|| missing("--dims"))?;

@@ -32,7 +32,7 @@ pub(crate) struct FileHeader {
 pub(crate) enum FileTimes {
     /// Nothing.
     Unknown,
-    /// The number of its one step in a longer run.
+    /// The number of its one step in a longer run; it counts where the numbers increase from file to file.
     StepNumber(f64),
     /// One time per step.
     Known(Vec<f64>),
@@ -96,11 +96,12 @@ pub(crate) fn dims_text(dims: [usize; 3]) -> String {
 
 /// Opens a file for reading and gives its length; folders and the like are refused.
 pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), SourceError> {
-    let file = File::open(path).map_err(|e| SourceError::io(path, "open", e))?;
-    let metadata = file.metadata().map_err(|e| SourceError::io(path, "read the length of", e))?;
+    // Asked before opening: opening a pipe would wait for a writer.
+    let metadata = std::fs::metadata(path).map_err(|e| SourceError::io(path, "open", e))?;
     if !metadata.is_file() {
         return Err(SourceError::unsupported(path, "path", "not a regular file", "give a file"));
     }
+    let file = File::open(path).map_err(|e| SourceError::io(path, "open", e))?;
     if metadata.len() == 0 {
         return Err(SourceError::corrupt(path, "length", "0 bytes", "the file is empty"));
     }

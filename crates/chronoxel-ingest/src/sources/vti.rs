@@ -9,7 +9,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::str::FromStr;
 
-use chronoxel_core::SampleType;
+use chronoxel_core::{SampleType, UniformGrid};
 
 use super::samples::{SampleFormat, SliceReader};
 use super::volume_file::{FileHeader, FileTimes, VolumeFile, checked_grid, checked_product};
@@ -49,8 +49,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn VolumeFile>, SourceError> {
         ));
     };
     let piece_index = only_piece(&document, image_index, image)?;
-    let (dims, origin, spacing) = placement(path, image)?;
-    let grid = checked_grid(path, dims, origin, spacing)?;
+    let grid = grid(path, image)?;
     let reader = ArrayReader { document: &document, encoding };
     let (variables, arrays) = reader.point_data(piece_index, grid.num_samples() as u64)?;
     let times = reader.times(image_index)?;
@@ -115,8 +114,8 @@ fn only_piece(document: &Document, image_index: usize, image: &Element) -> Resul
     Ok(index)
 }
 
-/// Dimensions, origin and spacing of an image.
-fn placement(path: &Path, image: &Element) -> Result<([usize; 3], [f64; 3], [f64; 3]), SourceError> {
+/// The grid of an image.
+fn grid(path: &Path, image: &Element) -> Result<UniformGrid, SourceError> {
     let extent = numbers::<i64, 6>(path, image, "WholeExtent", None)?;
     let mut dims = [0; 3];
     for axis in 0..3 {
@@ -138,7 +137,7 @@ fn placement(path: &Path, image: &Element) -> Result<([usize; 3], [f64; 3], [f64
         ));
     }
     let first = |axis: usize| origin[axis] + extent[2 * axis] as f64 * spacing[axis];
-    Ok((dims, [first(0), first(1), first(2)], spacing))
+    checked_grid(path, dims, [first(0), first(1), first(2)], spacing)
 }
 
 /// The numbers of an attribute, or `default` where it is missing.

@@ -283,11 +283,39 @@ impl<R: BufRead> Base64<R> {
     }
 }
 
+impl<R: BufRead> Base64<R> {
+    /// Decodes whole groups without white space or padding while both buffers last; gives the number of bytes.
+    fn read_plain(&mut self, out: &mut [u8]) -> Result<usize> {
+        let available = match self.input.fill_buf() {
+            Ok(available) => available,
+            // What was decoded before must not be lost; the slow path waits.
+            Err(e) if e.kind() == ErrorKind::Interrupted => return Ok(0),
+            Err(e) => return Err(e),
+        };
+        let mut num_groups = 0;
+        for (quad, bytes) in available.chunks_exact(4).zip(out.chunks_exact_mut(3)) {
+            let values = [0, 1, 2, 3].map(|i| BASE64_VALUES[usize::from(quad[i])]);
+            if values.iter().any(|value| *value > 63) {
+                break;
+            }
+            let bits = values.iter().fold(0, |bits, value| bits << 6 | u32::from(*value));
+            bytes.copy_from_slice(&bits.to_be_bytes()[1..]);
+            num_groups += 1;
+        }
+        self.input.consume(4 * num_groups);
+        Ok(3 * num_groups)
+    }
+}
+
 impl<R: BufRead> Read for Base64<R> {
     fn read(&mut self, out: &mut [u8]) -> Result<usize> {
         let mut filled = 0;
         while filled < out.len() {
             if self.num_decoded == 0 {
+                filled += self.read_plain(&mut out[filled..])?;
+                if filled == out.len() {
+                    break;
+                }
                 let Some(quad) = self.next_quad()? else { break };
                 self.num_decoded = decode_quad(quad, &mut self.decoded)?;
             }
@@ -299,6 +327,13 @@ impl<R: BufRead> Read for Base64<R> {
         }
         Ok(filled)
     }
+}
+
+/// Decodes a whole text; `None` if it is not base64.
+pub(crate) fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let mut out = Vec::new();
+    Base64::new(text.as_bytes()).read_to_end(&mut out).ok()?;
+    Some(out)
 }
 
 /// Decodes four characters to the end of three bytes; gives how many bytes they stand for.
@@ -338,10 +373,16 @@ const BASE64_VALUES: [u8; 256] = {
 mod tests {
     use super::*;
 
+    /// Decodes through buffers of several lengths, which must not matter.
     fn decoded(text: &str) -> Result<Vec<u8>> {
-        let mut out = Vec::new();
-        Base64::new(BufReader::with_capacity(3, text.as_bytes())).read_to_end(&mut out)?;
-        Ok(out)
+        let through = |capacity| {
+            let mut out = Vec::new();
+            Base64::new(BufReader::with_capacity(capacity, text.as_bytes())).read_to_end(&mut out)?;
+            Ok(out)
+        };
+        let all: Vec<Result<Vec<u8>>> = [3, 5, 64].map(through).into();
+        assert!(all.iter().all(|one| one.as_ref().ok() == all[0].as_ref().ok()), "{text}");
+        all.into_iter().next().expect("there are three")
     }
 
     /// The vectors of RFC 4648, section 10.

@@ -71,12 +71,17 @@ fn options_of_raw_files_are_refused_for_others() {
     assert!(message.contains("--dims is given") && message.contains("f4.npy"), "{message}");
 }
 
-/// A change to a header that must be found before anything is allocated.
+/// A change to every place of a header that must be found before anything is allocated.
 fn refused_change(fixture: &str, from: &str, to: &str) -> String {
     let content = std::fs::read(path(fixture)).unwrap();
-    let at =
-        content.windows(from.len()).position(|w| w == from.as_bytes()).expect("the text to change is there");
-    let changed = [&content[..at], to.as_bytes(), &content[at + from.len()..]].concat();
+    let mut changed = Vec::new();
+    let mut rest = &content[..];
+    while let Some(at) = rest.windows(from.len()).position(|w| w == from.as_bytes()) {
+        changed.extend([&rest[..at], to.as_bytes()].concat());
+        rest = &rest[at + from.len()..];
+    }
+    assert!(!changed.is_empty(), "{fixture} has no {from}");
+    changed.extend(rest);
     let name = fixture.rsplit('/').next().unwrap();
     let (_folder, path) = file(name, &changed);
     let message = refused(&path.to_string_lossy());
@@ -86,16 +91,26 @@ fn refused_change(fixture: &str, from: &str, to: &str) -> String {
 
 #[test]
 fn headers_that_promise_more_than_the_file_holds() {
-    let whole = "WholeExtent=\"0 4 0 3 0 2\"";
-    let piece = "Piece Extent=\"0 4 0 3 0 2\"";
-    let huge = "WholeExtent=\"0 65535 0 65535 0 999\"";
+    let extent = "0 4 0 3 0 2";
     for name in ["raw_plain_32", "raw_zlib_64", "raw_lz4_32", "base64_plain_64", "inline_zlib_32"] {
-        let fixture = format!("vti/{name}.vti");
-        let message = refused_change(&fixture, whole, huge);
-        assert!(message.contains("Piece Extent"), "{message}");
-        let content = String::from_utf8_lossy(&std::fs::read(path(&fixture)).unwrap()).into_owned();
-        assert!(content.contains(piece));
+        let message = refused_change(&format!("vti/{name}.vti"), extent, "0 65535 0 65535 0 999");
+        assert!(
+            message.contains("array \"density\" is too short") && message.contains("17179869184000 bytes"),
+            "{message}"
+        );
     }
+    assert!(
+        refused_change("vti/ascii.vti", extent, "0 4 0 3 0 99").contains("array \"density\" is too short")
+    );
+    assert!(refused_change("vti/ascii.vti", extent, "0 4 0 3 0 -1").contains("dimensions is 5 x 4 x 0"));
+    let most = format!("0 4 0 3 {} {}", i64::MIN, i64::MAX);
+    assert!(refused_change("vti/ascii.vti", extent, &most).contains("dimensions is"));
+    assert!(
+        refused_change("vti/ascii.vti", extent, "0 4 0 3 0")
+            .contains("WholeExtent is 0 4 0 3 0: it must have 6")
+    );
+    let message = refused_change("vti/ascii.vti", "Piece Extent=\"0 4", "Piece Extent=\"1 5");
+    assert!(message.contains("Piece Extent is [1, 5, 0, 3, 0, 2]"), "{message}");
     assert!(refused_change("npy/f4.npy", "(3, 4, 5)", "(3, 4, 6)").contains("length is 368 bytes"));
     assert!(refused_change("npy/f4.npy", "(3, 4, 5)", "(0, 4, 5)").contains("5 x 4 x 0"));
     let message = refused_change("npy/f4.npy", "(3, 4, 5), }          ", "(99999, 99999, 99999)}");
@@ -110,6 +125,22 @@ fn headers_that_promise_more_than_the_file_holds() {
 }
 
 #[test]
+fn arrays_longer_or_shorter_than_the_extent_are_found_when_read() {
+    for name in ["raw_plain_32", "raw_zlib_64", "inline_lz4_32", "ascii"] {
+        let content = std::fs::read(path(&format!("vti/{name}.vti"))).unwrap();
+        let (_folder, path) = file("a.vti", &[]);
+        // A byte at a time, so that what is appended stays as it is.
+        let text: String = content.iter().map(|&b| char::from(b)).collect();
+        let changed: Vec<u8> = text.replace("0 4 0 3 0 2", "0 4 0 3 0 1").chars().map(|c| c as u8).collect();
+        std::fs::write(&path, changed).unwrap();
+        let mut series = open_with(&path.to_string_lossy(), &SourceOptions::default()).unwrap();
+        let read = series.open_step(0, 0).and_then(|mut reader| reader.read_slices(2));
+        let message = read.unwrap_err().to_string();
+        assert!(message.contains("a.vti") && message.contains("extent needs"), "{name}: {message}");
+    }
+}
+
+#[test]
 fn a_path_without_read_permission() {
     use std::os::unix::fs::PermissionsExt;
     let (_folder, path) = file("a.npy", &std::fs::read(crate::fixtures::path("npy/f4.npy")).unwrap());
@@ -119,4 +150,11 @@ fn a_path_without_read_permission() {
         return;
     }
     assert!(refused(&path.to_string_lossy()).contains("a.npy: cannot open: "));
+}
+
+#[test]
+fn what_is_no_file_is_not_waited_for() {
+    for path in ["/dev/zero", "/dev/null"] {
+        assert!(refused(path).contains("not a regular file"));
+    }
 }

@@ -2,8 +2,11 @@
 
 mod files;
 mod fixtures;
+mod hostile;
 mod npy;
 mod nrrd;
 mod raw;
+mod real_data;
 mod series;
 mod vti;
+mod zarr;

@@ -145,3 +145,17 @@ fn a_thousand_files_open_fast() {
     assert_eq!(read(series.as_mut(), 0, 999), expected(SampleType::F32, 0));
     assert!(Path::new(folder.path()).exists());
 }
+
+#[test]
+fn a_simulation_is_a_source_of_its_own() {
+    let name = "sim:plume?dims=8x8x8&steps=2".to_owned();
+    let mut series = sources::open(std::slice::from_ref(&name), &SourceOptions::default()).unwrap();
+    assert_eq!((series.grid().dims, series.times().num_steps()), ([8, 8, 8], 2));
+    assert_eq!(series.open_step(0, 0).unwrap().read_slices(8).unwrap().len(), 512);
+    assert!(refused_series(&[name.clone(), glob("npy/f4.npy")]).contains("cannot be joined"));
+    assert!(refused_series(&["sim:nothing".to_owned()]).contains("nothing"));
+    let options = SourceOptions { dt: Some(1.0), ..SourceOptions::default() };
+    assert!(refusal(open_with(&name, &options)).contains("settings after its name"));
+    let options = SourceOptions { variables: vec!["x".to_owned()], ..SourceOptions::default() };
+    assert!(refusal(open_with(&name, &options)).contains("--variable x"));
+}

@@ -89,6 +89,15 @@ pub(super) struct LightJob<'a> {
 /// Draws a brick into a packet and returns the number of samples taken.
 pub(super) type March = unsafe fn(&BrickJob, &LevelBox, &mut Packet) -> u64;
 
+/// The instructions that the kernels use on this CPU.
+pub fn kernel_name() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        return "AVX2";
+    }
+    "plain Rust"
+}
+
 /// The kernel for a brick: the fastest that this CPU has, or the plain one.
 pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
     let (lit, masked) = (job.light.is_some(), job.mask.is_some());

@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use crate::prepared::BLOCK_EDGE;
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
+pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, LightJob, March};
 use table::Table;
 use tile::{RaySetup, Tile, Work};
@@ -56,39 +57,80 @@ pub fn render_with(
     bricks: &[DrawBrick],
     options: &CpuOptions,
 ) -> Result<(Image, RenderStats), RenderError> {
-    let start = Instant::now();
-    scene.check()?;
-    let tables = Tables::new(scene, bricks)?;
-    let mut stats = RenderStats::default();
-    let mut jobs = Vec::with_capacity(bricks.len());
-    for brick in bricks {
-        let job = Job::new(scene, brick, &tables, options)?;
-        match &job {
-            None => stats.bricks_skipped += 1,
-            Some(Job { work: Work::March(..), .. }) => stats.bricks_drawn += 1,
-            Some(_) => stats.bricks_constant += 1,
+    let mut frame = Frame::new(scene, *options)?;
+    frame.draw(bricks)?;
+    Ok(frame.finish())
+}
+
+/// A picture that is drawn in portions, front to back: for volumes whose bricks do not fit memory at once.
+pub struct Frame<'a> {
+    scene: &'a Scene,
+    options: CpuOptions,
+    /// Red, green and blue multiplied by alpha, and transmittance, of every pixel so far.
+    gathered: Image,
+    is_begun: bool,
+    stats: RenderStats,
+}
+
+impl<'a> Frame<'a> {
+    /// A picture on which nothing is drawn yet.
+    ///
+    /// # Errors
+    /// [`RenderError`] if the scene cannot be drawn.
+    pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
+        scene.check()?;
+        let mut gathered = Image::new(scene.size[0], scene.size[1])?;
+        gathered.pixels.fill([0.0, 0.0, 0.0, 1.0]);
+        Ok(Self { scene, options, gathered, is_begun: false, stats: RenderStats::default() })
+    }
+
+    /// Draws bricks behind those drawn before. Portions do not change a pixel.
+    ///
+    /// * `bricks`: boxes that do not overlap, front to back
+    ///
+    /// # Errors
+    /// [`RenderError`] if a brick does not fit the scene.
+    pub fn draw(&mut self, bricks: &[DrawBrick]) -> Result<(), RenderError> {
+        let start = Instant::now();
+        let tables = Tables::new(self.scene, bricks)?;
+        let mut jobs = Vec::with_capacity(bricks.len());
+        for brick in bricks {
+            let job = Job::new(self.scene, brick, &tables, &self.options)?;
+            match &job {
+                None => self.stats.bricks_skipped += 1,
+                Some(Job { work: Work::March(..), .. }) => self.stats.bricks_drawn += 1,
+                Some(_) => self.stats.bricks_constant += 1,
+            }
+            jobs.extend(job);
         }
-        jobs.extend(job);
+        let edge = self.options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+        let setup = RaySetup::new(self.scene);
+        let tiles = bin(&jobs, self.scene.size, edge);
+        let gathered = self.is_begun.then_some(&self.gathered);
+        let drawn: Vec<_> = tiles
+            .into_par_iter()
+            .with_max_len(1)
+            .map_init(Tile::default, |tile, (corner, list)| {
+                tile.begin(&setup, corner, edge, gathered);
+                list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
+                tile.end()
+            })
+            .collect();
+        self.is_begun = true;
+        for block in &drawn {
+            block.copy_to(&mut self.gathered);
+            self.stats.num_samples += block.num_samples;
+        }
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        Ok(())
     }
-    let edge = options.tile_edge.clamp(8, 1024).next_multiple_of(8);
-    let setup = RaySetup::new(scene);
-    let tiles = bin(&jobs, scene.size, edge);
-    let drawn: Vec<_> = tiles
-        .into_par_iter()
-        .with_max_len(1)
-        .map_init(Tile::default, |tile, (corner, list)| {
-            tile.begin(&setup, corner, edge);
-            list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
-            tile.end()
-        })
-        .collect();
-    let mut image = Image::new(scene.size[0], scene.size[1])?;
-    for block in &drawn {
-        block.copy_to(&mut image);
-        stats.num_samples += block.num_samples;
+
+    /// The picture, and what it took.
+    pub fn finish(self) -> (Image, RenderStats) {
+        let mut image = self.gathered;
+        image.pixels.iter_mut().for_each(|pixel| pixel[3] = 1.0 - pixel[3]);
+        (image, self.stats)
     }
-    stats.render_ms = start.elapsed().as_secs_f64() * 1e3;
-    Ok((image, stats))
 }
 
 /// One table per level that is drawn: opacities are those of the level's step length.

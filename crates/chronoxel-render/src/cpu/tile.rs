@@ -39,7 +39,10 @@ pub(super) struct PixelBlock {
 
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
-    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize) {
+    ///
+    /// * `gathered`: what the pixels of the picture hold so far, transmittance in place of alpha, where they hold
+    ///   anything
+    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize, gathered: Option<&Image>) {
         self.corner = corner;
         self.size = std::array::from_fn(|a| edge.min(setup.scene.size[a] - corner[a]));
         self.packets_along = PACKET.map(|n| edge / n);
@@ -50,6 +53,23 @@ impl Tile {
             let first = [i % along[0] * PACKET[0], i / along[0] * PACKET[1]];
             setup.packet([corner[0] + first[0], corner[1] + first[1]])
         }));
+        if let Some(gathered) = gathered {
+            self.resume(gathered);
+        }
+    }
+
+    /// Takes up what an earlier portion gathered.
+    fn resume(&mut self, gathered: &Image) {
+        let [width, height] = self.size;
+        for y in 0..height {
+            let pixels = &gathered.pixels[(self.corner[1] + y) * gathered.width + self.corner[0]..][..width];
+            let row = &mut self.packets[y / PACKET[1] * self.packets_along[0]..];
+            for (x, [r, g, b, transmittance]) in pixels.iter().copied().enumerate() {
+                let (packet, lane) = (&mut row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
+                packet.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
+                packet.transmittance.0[lane] = transmittance;
+            }
+        }
     }
 
     /// Puts a brick behind what was drawn before.
@@ -76,7 +96,7 @@ impl Tile {
         }
     }
 
-    /// The pixels that lie in the picture.
+    /// The pixels that lie in the picture, transmittance in place of alpha.
     pub fn end(&self) -> PixelBlock {
         let [width, height] = self.size;
         let mut pixels = Vec::with_capacity(width * height);
@@ -85,7 +105,7 @@ impl Tile {
             for x in 0..width {
                 let (packet, lane) = (&row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
                 let [r, g, b] = [&packet.color[0], &packet.color[1], &packet.color[2]].map(|c| c.0[lane]);
-                pixels.push([r, g, b, 1.0 - packet.transmittance.0[lane]]);
+                pixels.push([r, g, b, packet.transmittance.0[lane]]);
             }
         }
         PixelBlock { corner: self.corner, width, pixels, num_samples: self.num_samples }

@@ -69,14 +69,11 @@ impl AxesBox<'_> {
     /// The twelve edges, as far as they lie before the camera.
     fn edges(&self, image: &Image8) -> Vec<Edge> {
         let mut edges = Vec::with_capacity(12);
-        for axis in 0..3 {
+        for (axis, others) in OTHERS.into_iter().enumerate() {
             for sides in [[0, 0], [1, 0], [1, 1], [0, 1]] {
                 let (from, to) = (self.edge_point(axis, sides, 0.0), self.edge_point(axis, sides, 1.0));
                 let Some(ends) = self.projected_segment(from, to, image) else { continue };
-                let facing = [
-                    self.faces_camera(OTHERS[axis][0], sides[0]),
-                    self.faces_camera(OTHERS[axis][1], sides[1]),
-                ];
+                let facing = [0, 1].map(|i| self.faces_camera(others[i], sides[i]));
                 let place = match facing {
                     [false, false] => Place::Behind,
                     [true, true] => Place::InFront,

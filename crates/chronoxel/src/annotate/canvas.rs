@@ -48,16 +48,6 @@ impl Rect {
             (shift(self.x0, self.x1, outer.x0, outer.x1), shift(self.y0, self.y1, outer.y0, outer.y1));
         Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
     }
-
-    /// The smallest rectangle around two.
-    pub(super) fn united(&self, other: &Self) -> Self {
-        Self {
-            x0: self.x0.min(other.x0),
-            y0: self.y0.min(other.y0),
-            x1: self.x1.max(other.x1),
-            y1: self.y1.max(other.y1),
-        }
-    }
 }
 
 /// Draws a line with round ends; each pixel is covered by how far its centre lies inside.

@@ -54,21 +54,16 @@ impl ColorBar<'_> {
         labels
     }
 
-    /// The area that [`Self::draw`] covers, for others to keep clear of.
-    pub fn area(&self, image: &Image8, style: &Style) -> Rect {
-        self.area_of(&self.layout(image, style), style)
-    }
-
-    fn area_of(&self, layout: &Layout, style: &Style) -> Rect {
-        let strip = layout.strip;
-        let widest = widest_label(&layout.ticks, style);
-        let body = Rect {
-            x0: strip.x0 - layout.profile_width,
-            x1: strip.x1 + 0.6 * style.em + widest,
+    /// The areas that [`Self::draw`] covers, its title and the bar with its numbers, for others to keep clear of.
+    pub fn areas(&self, image: &Image8, style: &Style) -> [Rect; 2] {
+        let Layout { strip, profile_width, title, ticks, .. } = self.layout(image, style);
+        let bar = Rect {
+            x0: strip.x0 - profile_width,
+            x1: strip.x1 + 0.6 * style.em + widest_label(&ticks, style),
             y0: strip.y0 - 0.5 * style.em,
             y1: strip.y1 + 0.5 * style.em,
         };
-        body.united(&layout.title).grown(0.5 * style.em)
+        [title, bar].map(|rect| rect.grown(0.4 * style.em))
     }
 
     fn layout(&self, image: &Image8, style: &Style) -> Layout {

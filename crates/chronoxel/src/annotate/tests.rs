@@ -53,8 +53,10 @@ impl Scene {
         let bar =
             ColorBar { transfer: &transfer, range: self.range, name: "vorticity magnitude", units: "s⁻¹" };
         let label = TimeLabel::new(&TimeAxis::regular(40, 0.2, "s").unwrap());
-        let occupied = [bar.area(&image, &style), label.draw(&mut image, &style, 3.4, 17).rect];
-        let mut labels = vec![Label { text: label.text(3.4, 17), rect: occupied[1] }];
+        let time = label.draw(&mut image, &style, 3.4, 17);
+        let [title, numbers] = bar.areas(&image, &style);
+        let occupied = [time.rect, title, numbers];
+        let mut labels = vec![time];
         labels.extend(axes.draw_outline(&mut image, &style, &occupied));
         labels.extend(bar.draw(&mut image, &style));
         (image, labels)
@@ -98,17 +100,40 @@ fn labels_are_tidy_from_everywhere_and_at_every_size() {
     }
 }
 
+/// Scenes of many kinds by name.
+fn scenes() -> Vec<(&'static str, Scene)> {
+    let mut white = Scene::new([512, 512]);
+    white.background = Background::Color([1.0; 3]);
+    (white.transfer, white.range) = ("sparse", [1.2, 8.7]);
+    let mut flat = Scene::new([640, 480]);
+    flat.bounds = [[0.0; 3], [500.0, 200.0, 200.0]];
+    flat.background = Background::Transparent;
+    let mut below = Scene::new([800, 600]);
+    (below.azimuth, below.elevation, below.fov, below.transfer) = (-60.0, -30.0, None, "filled");
+    vec![
+        ("usual", Scene::new([1024, 768])),
+        ("small", Scene::new([256, 256])),
+        ("white", white),
+        ("flat", flat),
+        ("below", below),
+        ("4k", Scene::new([3840, 2160])),
+    ]
+}
+
+/// Pictures to look at are written where the environment variable `CHRONOXEL_PICTURES` says.
 #[test]
 fn names_and_units_are_written() {
-    for (size, background) in [([1024, 768], [0.0; 3]), ([512, 512], [1.0; 3])] {
-        let mut scene = Scene::new(size);
-        scene.background = Background::Color(background);
-        let (_, labels) = scene.draw();
+    for (name, scene) in scenes() {
+        let (image, labels) = scene.draw();
+        if let Some(folder) = std::env::var_os("CHRONOXEL_PICTURES") {
+            write_png(&Path::new(&folder).join(format!("annotate-{name}.png")), &image).unwrap();
+        }
+        assert_tidy(&scene, &labels);
         let written: Vec<&str> = labels.iter().map(|label| label.text.as_str()).collect();
         for expected in
-            ["x (km)", "y (km)", "z (km)", "vorticity magnitude (s⁻¹)", "t = 3.4 s · step 17", "15", "100"]
+            ["x (km)", "y (km)", "z (km)", "vorticity magnitude (s⁻¹)", "t = 3.4 s · step 17", "5", "100"]
         {
-            assert!(written.contains(&expected), "{expected} is not among {written:?}");
+            assert!(written.contains(&expected), "{name}: {expected} is not among {written:?}");
         }
     }
 }
@@ -189,28 +214,4 @@ fn odd_input_is_drawn_without_a_panic() {
 #[test]
 fn the_same_input_gives_the_same_pixels() {
     assert_eq!(Scene::new([320, 240]).draw(), Scene::new([320, 240]).draw());
-}
-
-/// Pictures to look at, where the environment variable says where to put them.
-#[test]
-fn pictures_to_look_at() {
-    let Some(folder) = std::env::var_os("CHRONOXEL_PICTURES") else { return };
-    let folder = Path::new(&folder);
-    let mut scenes = vec![("1024", Scene::new([1024, 768])), ("256", Scene::new([256, 256]))];
-    let mut white = Scene::new([512, 512]);
-    white.background = Background::Color([1.0; 3]);
-    white.transfer = "sparse";
-    white.bounds = [[0.0; 3], [5.0e-3, 2.0e-3, 2.0e-3]];
-    white.range = [1.2e-5, 8.7e-5];
-    scenes.push(("white", white));
-    let mut top = Scene::new([800, 600]);
-    (top.azimuth, top.elevation, top.fov, top.transfer) = (-60.0, -30.0, None, "filled");
-    scenes.push(("below", top));
-    let mut front = Scene::new([800, 600]);
-    (front.azimuth, front.elevation) = (0.0, 0.0);
-    scenes.push(("front", front));
-    scenes.push(("4k", Scene::new([3840, 2160])));
-    for (name, scene) in scenes {
-        write_png(&folder.join(format!("annotate-{name}.png")), &scene.draw().0).unwrap();
-    }
 }

@@ -19,7 +19,9 @@ impl Ticks {
         if !low.is_finite() || !high.is_finite() {
             return Self { values: Vec::new(), labels: Vec::new(), exponent: 0 };
         }
-        let distinguishable = (high - low) > 1e-9 * low.abs().max(high.abs());
+        let extent = high - low;
+        let distinguishable =
+            extent > 1e-9 * low.abs().max(high.abs()) && (1e-300..f64::INFINITY).contains(&extent);
         let values = if distinguishable { multiples(low, high, max_ticks.max(2)) } else { vec![low] };
         let largest = values.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         let exponent = common_exponent(largest);
@@ -151,6 +153,9 @@ mod tests {
         assert_eq!(Ticks::new(5.0, 1.0, 5).values, [5.0]);
         assert!(Ticks::new(-1e300, 1e300, 5).values.len() <= 5);
         assert_eq!(Ticks::new(0.0, 0.0, 5).labels, ["0"]);
+        assert_eq!(Ticks::new(2.5, 2.5, 5).labels, ["2.5"]);
+        assert_eq!(Ticks::new(f64::MIN, f64::MAX, 5).values.len(), 1);
+        assert!(Ticks::new(0.0, 5e-324, 5).values.len() <= 5);
     }
 
     #[test]

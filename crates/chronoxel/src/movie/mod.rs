@@ -16,8 +16,8 @@ pub(crate) mod tests;
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
-use chronoxel_core::Image8;
+use anyhow::{Context, Result, bail};
+use chronoxel_core::{Image8, image::check_size};
 
 pub use picture::{read_png, write_png};
 pub use template::FrameTemplate;
@@ -89,10 +89,7 @@ pub fn create(output: &str, options: MovieOptions) -> Result<Box<dyn FrameSink>>
 }
 
 fn check_options(output: &str, options: &MovieOptions) -> Result<()> {
-    let [width, height] = options.size;
-    if width == 0 || height == 0 || width > 16384 || height > 16384 {
-        bail!("size of '{output}' is {width}x{height}: each side must be between 1 and 16384");
-    }
+    check_size(options.size).with_context(|| format!("cannot write '{output}'"))?;
     if !(0.01..=1000.0).contains(&options.fps) {
         bail!("fps of '{output}' is {}: it must be between 0.01 and 1000", options.fps);
     }

@@ -72,7 +72,8 @@ impl PendingFile {
 
     /// Gives the file its name, replacing what had it before.
     pub(super) fn publish(mut self) -> Result<()> {
-        let synced = fs::File::open(&self.temporary).and_then(|file| file.sync_all());
+        let synced =
+            fs::OpenOptions::new().write(true).open(&self.temporary).and_then(|file| file.sync_all());
         synced
             .and_then(|()| fs::rename(&self.temporary, &self.target))
             .with_context(|| format!("cannot finish '{}'", self.target.display()))?;

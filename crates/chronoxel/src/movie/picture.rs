@@ -13,6 +13,9 @@ use super::pending::PendingFile;
 /// The largest picture that is read: 2^28 pixels, 1 GiB.
 const MAX_PIXELS: u64 = 1 << 28;
 
+/// No byte of a deflate stream makes more than 1032 bytes.
+const MAX_EXPANSION: u64 = 1032;
+
 /// Writes a picture as an 8-bit sRGB PNG, with an alpha channel only where a pixel is not opaque.
 /// Folders are made as needed; nothing is left under the name on failure.
 ///
@@ -57,6 +60,7 @@ pub(super) fn set_format<W: Write>(encoder: &mut png::Encoder<'_, W>, color: Col
 pub fn read_png(path: &Path) -> Result<Image8> {
     let name = path.display();
     let file = File::open(path).with_context(|| format!("cannot open picture '{name}'"))?;
+    let file_bytes = file.metadata().with_context(|| format!("cannot read picture '{name}'"))?.len();
     let mut decoder = png::Decoder::new(BufReader::new(file));
     decoder.set_transformations(Transformations::EXPAND | Transformations::ALPHA);
     let mut reader = decoder.read_info().with_context(|| format!("'{name}' is not a readable PNG"))?;
@@ -65,6 +69,10 @@ pub fn read_png(path: &Path) -> Result<Image8> {
         bail!("picture '{name}' is {width}x{height}: at most 2^28 pixels are read");
     }
     let num_bytes = reader.output_buffer_size().with_context(|| format!("picture '{name}' is too large"))?;
+    let packed_bytes = u64::from(height).saturating_mul(reader.info().raw_row_length() as u64);
+    if packed_bytes > file_bytes.saturating_mul(MAX_EXPANSION) {
+        bail!("picture '{name}' claims {width}x{height} pixels, more than its {file_bytes} bytes can hold");
+    }
     let mut bytes = vec![0; num_bytes];
     let info = reader.next_frame(&mut bytes).with_context(|| format!("picture '{name}' is damaged"))?;
     bytes.truncate(info.buffer_size());

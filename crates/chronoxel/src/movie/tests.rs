@@ -91,11 +91,23 @@ fn damaged_pictures_are_one_line_errors() {
         let error = format!("{:#}", read_png(&path).unwrap_err());
         assert!(error.contains("a.png") && !error.contains('\n'), "{error}");
     }
-    let mut huge = whole.clone();
-    huge[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
-    fs::write(&path, huge).unwrap();
-    assert!(read_png(&path).is_err());
+    for size in [[0x7fu8, 0xff, 0xff, 0xff], [0, 0, 0x3f, 0xff]] {
+        fs::write(&path, [&whole[..16], &size, &size, &whole[24..]].concat()).unwrap();
+        fix_header_checksum(&path);
+        let error = format!("{:#}", read_png(&path).unwrap_err());
+        assert!(error.contains("limits") || error.contains("more than its"), "{error}");
+    }
     assert!(format!("{:#}", read_png(&folder.path().join("no.png")).unwrap_err()).contains("no.png"));
+}
+
+/// Gives the header of a PNG the checksum that belongs to it.
+fn fix_header_checksum(path: &Path) {
+    let mut bytes = fs::read(path).unwrap();
+    let crc = bytes[12..29].iter().fold(!0u32, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(*byte), |c, _| (c >> 1) ^ if c & 1 == 1 { 0xedb8_8320 } else { 0 })
+    });
+    bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+    fs::write(path, bytes).unwrap();
 }
 
 #[test]
@@ -301,7 +313,7 @@ fn outputs_that_make_no_sense_are_refused() {
     let folder = tempdir().unwrap();
     let tell = |name: &str, options| {
         let output = folder.path().join(name);
-        create(output.to_str().unwrap(), options).err().unwrap().to_string()
+        format!("{:#}", create(output.to_str().unwrap(), options).err().unwrap())
     };
     let good = options([8, 8], 5.0, 3);
     assert!(tell("m.png", good).contains("{frame:04}"));

@@ -1,0 +1,206 @@
+//! Verification: every byte of every file is under a checksum or follows from the header, and everything the
+//! spans say is held against what is stored.
+
+use std::{
+    collections::{BTreeSet, HashSet},
+    path::Path,
+};
+
+use crate::{
+    Header, Store, StoreError,
+    arrays::{ShardId, SpanChunkId},
+    files,
+    header::Totals,
+    journal,
+    store::{read_header, read_nodes},
+    verify_shard::ShardCheck,
+    writer::nodes_file,
+};
+
+/// Problems kept at most; the rest are only counted.
+const MAX_PROBLEMS: usize = 1000;
+
+/// What a verification found.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct VerifyReport {
+    /// One line each, naming file, field and value; at most 1,000 of them.
+    pub problems: Vec<String>,
+    /// All problems, those that are not listed included.
+    pub num_problems: u64,
+    /// Spans that were checked.
+    pub num_spans: u64,
+    /// Payloads that were decoded, each for every step of its span.
+    pub num_payloads: u64,
+    seen: HashSet<String>,
+}
+
+impl VerifyReport {
+    /// Whether nothing is wrong.
+    pub fn is_ok(&self) -> bool {
+        self.num_problems == 0
+    }
+
+    pub(crate) fn add(&mut self, problem: impl ToString) {
+        let problem = problem.to_string();
+        if self.problems.len() >= MAX_PROBLEMS {
+            self.num_problems += 1;
+        } else if self.seen.insert(problem.clone()) {
+            self.num_problems += 1;
+            self.problems.push(problem);
+        }
+    }
+}
+
+/// What is counted while the spans are walked, to be held against the header.
+#[derive(Debug, Default)]
+pub(crate) struct Counted {
+    pub totals: Totals,
+    /// Smallest and largest source sample of each variable.
+    pub ranges: Vec<[Option<f64>; 2]>,
+}
+
+/// Checks everything there is to check in a store. `progress(done, total)` is called as it goes on.
+///
+/// Checked are: the header's checksum, the metadata of every group and array byte for byte, the nodes, missing and
+/// unexpected files (but for the journal of a writer that did not finish), the index and every inner chunk of every shard, that chunks fill their shard end to end and belong
+/// to a span each, that the spans of each node partition time, that shared payloads and masks exist, that decoded
+/// samples lie within the drawn range, statistics, and totals. Of a store that is not complete the finished steps are checked.
+pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyReport {
+    let mut report = VerifyReport::default();
+    check_metadata(store, &mut report);
+    let header = store.header();
+    let num_shards: u64 = header.each_window().map(|(_, _, w)| u64::from(header.num_shards(w))).sum();
+    let num_steps = u64::from(header.num_steps_finished);
+    let num_covers = (header.variables.len() * header.levels.len()) as u64 * num_steps;
+    let (total, mut done) = (num_shards + num_covers, 0);
+    let mut counted = Counted { ranges: vec![[None; 2]; header.variables.len()], ..Counted::default() };
+    for (variable, level) in
+        (0..header.variables.len()).flat_map(|v| (0..header.levels.len() as u8).map(move |level| (v, level)))
+    {
+        for step in 0..header.num_steps_finished {
+            if let Err(error) = store.spans(variable, level, step) {
+                report.add(error);
+            }
+            done += 1;
+        }
+        progress(done, total);
+        for &window in &header.variables[variable].windows {
+            for shard in 0..header.num_shards(window) {
+                let id = SpanChunkId { variable: variable as u16, level, window, shard };
+                ShardCheck { store, id }.run(&mut report, &mut counted);
+                done += 1;
+                progress(done, total);
+            }
+        }
+    }
+    check_files(store, &mut report, &mut counted);
+    if store.is_complete() {
+        check_totals(store, &counted, &mut report);
+    }
+    report
+}
+
+fn check_metadata(store: &Store, report: &mut VerifyReport) {
+    let (root, header) = (store.path(), store.header());
+    match read_header(root) {
+        Ok(found) if found == *header => {}
+        Ok(_) => report.add(StoreError::corrupt(
+            &root.join("zarr.json"),
+            "header",
+            "changed",
+            "open the store anew",
+        )),
+        Err(error) => report.add(error),
+    }
+    let children = match header.children() {
+        Ok(children) => children,
+        Err(error) => return report.add(error),
+    };
+    for (folder, text) in children {
+        let file = root.join(folder).join("zarr.json");
+        match files::read_whole(&file, text.len() as u64) {
+            Ok(Some(found)) if found == text.as_bytes() => {}
+            Ok(Some(_)) => {
+                report.add(StoreError::corrupt(&file, "text", "different", "it must follow from the header"))
+            }
+            Ok(None) => {
+                report.add(StoreError::corrupt(&file, "file", "absent", "it must follow from the header"))
+            }
+            Err(error) => report.add(error),
+        }
+    }
+    for geometry in header.geometry() {
+        let num_nodes = header.num_nodes(geometry.level);
+        match read_nodes(root, geometry.level, num_nodes, geometry.bricks) {
+            Ok(nodes) if nodes == store.tree().nodes(geometry.level) => {}
+            Ok(_) => {
+                let path = root.join(nodes_file(geometry.level));
+                report.add(StoreError::corrupt(&path, "nodes", "changed", "open the store anew"));
+            }
+            Err(error) => report.add(error),
+        }
+    }
+}
+
+/// Checks that no file is there that should not be, and sums up those of the data. Missing files of data are found
+/// by those who need them.
+fn check_files(store: &Store, report: &mut VerifyReport, counted: &mut Counted) {
+    let (root, header) = (store.path(), store.header());
+    let listed = match files::list_files(root) {
+        Ok(listed) => listed,
+        Err(error) => return report.add(error),
+    };
+    let mut metadata: BTreeSet<String> = ["zarr.json".to_owned()].into();
+    metadata
+        .extend(header.children().unwrap_or_default().into_iter().map(|(folder, _)| folder + "/zarr.json"));
+    metadata.extend((0..header.levels.len()).map(|level| nodes_file(level as u8)));
+    let data = data_files(header);
+    for (path, len) in listed {
+        let relative = relative_name(root, &path);
+        let in_journal = relative.starts_with(&format!("{}/", journal::FOLDER));
+        if data.contains(&relative) {
+            counted.totals.data_bytes += len;
+        } else if !metadata.contains(&relative) && !in_journal {
+            report.add(StoreError::corrupt(
+                &path,
+                "file",
+                "unexpected",
+                "it is no part of the store: remove it",
+            ));
+        }
+    }
+}
+
+/// Names of the files that data may lie in.
+fn data_files(header: &Header) -> HashSet<String> {
+    let mut files = HashSet::new();
+    for (variable, level, window) in header.each_window() {
+        let arrays = header.arrays_of(variable, level, window);
+        for shard in 0..header.num_shards(window) {
+            files.insert(header.span_file(&SpanChunkId { variable, level, window, shard }));
+            files.extend(arrays.iter().map(|&array| header.shard_file(&ShardId { array, shard })));
+        }
+    }
+    files
+}
+
+fn relative_name(root: &Path, path: &Path) -> String {
+    let relative = path.strip_prefix(root).unwrap_or(path);
+    let parts: Vec<_> = relative.components().map(|c| c.as_os_str().to_string_lossy()).collect();
+    parts.join("/")
+}
+
+fn check_totals(store: &Store, counted: &Counted, report: &mut VerifyReport) {
+    let (path, header) = (store.path().join("zarr.json"), store.header());
+    if header.totals != counted.totals {
+        let problem = format!("the spans and files give {:?}", counted.totals);
+        report.add(StoreError::corrupt(&path, "totals", format!("{:?}", header.totals), problem));
+    }
+    for (entry, range) in header.variables.iter().zip(&counted.ranges) {
+        if [entry.min, entry.max] != *range {
+            let value = format!("{:?}", [entry.min, entry.max]);
+            let problem = format!("the spans give {range:?}");
+            report.add(StoreError::corrupt(&path, format!("min and max of {}", entry.name), value, problem));
+        }
+    }
+}

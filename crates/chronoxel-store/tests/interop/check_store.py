@@ -1,0 +1,129 @@
+"""Opens a store with zarr-python 3 and decodes it by docs/format.md, knowing nothing of Chronoxel's code.
+
+    pip install 'zarr>=3'
+    python check_store.py STORE [SAMPLES.json]
+
+Every group and array is opened and every chunk of it read. With SAMPLES.json, decoded samples that Chronoxel
+wrote (`cargo run -p chronoxel-store --example print_samples -- STORE`) are compared bit by bit.
+"""
+
+import json
+import math
+import sys
+
+import numpy
+import zarr
+
+
+def read_stage(group, header, level, window, class_index, stage_index, row, node):
+    """One stage of a payload: its indices over the full brick, and its table as a function of the row."""
+    stage = group["classes"][class_index]["stages"][stage_index]
+    path = f"{group['folder']}/L{level}/W{window}/C{class_index}/S{stage_index}"
+    data = header["root"][path][row, node, :].tobytes()
+    layout = header["bricks"]
+    edge, full = layout["edge"], layout["low"] + layout["edge"] + layout["high"]
+    offset, scale = numpy.frombuffer(data, "<f8", 2)
+    table, at = stage["table"], 16
+    rows = None
+    if table["kind"] == "listed":
+        count = table["rows"] * table["entries"]
+        rows = numpy.frombuffer(data, "<u2", count, at).reshape(table["rows"], table["entries"])
+        at += 2 * count
+    core = numpy.zeros((full,) * 3, bool)
+    inner = slice(layout["low"], layout["low"] + edge)
+    core[inner, inner, inner] = True
+    indices = numpy.zeros((full,) * 3, numpy.int64)
+    for part in (core, ~core):
+        n = int(part.sum())
+        if stage["index_bits"] == 8:
+            indices[part] = numpy.frombuffer(data, "u1", n, at)
+        else:
+            high, low = numpy.frombuffer(data, "u1", 2 * n, at).reshape(2, n).astype(numpy.int64)
+            indices[part] = 256 * high + low
+        at += n * stage["index_bits"] // 8
+    assert at == len(data), f"{path}: {len(data)} bytes where {at} are due"
+
+    def values(step_in_span):
+        entries = indices if rows is None else rows[step_in_span >> stage["shift"]][indices]
+        return offset + scale * entries.astype(numpy.float64)
+
+    return values
+
+
+def decode(header, variable, level, step):
+    """The full bricks of all nodes of a level at a step: arrays [z, y, x], NaN where masked or empty."""
+    group = header["variables"][variable]
+    layout = header["bricks"]
+    full = layout["low"] + layout["edge"] + layout["high"]
+    bricks = {}
+    for window in group["windows"]:
+        folder = f"{group['folder']}/L{level}/W{window}"
+        spans = header["root"][f"{folder}/spans"]
+        fields = {name: i for i, name in enumerate(spans.attrs["fields"])}
+        first = math.ceil(max(step + 1 - window, 0) / window)
+        for row in range(first, math.ceil(step / window) + 1):
+            for node, span in enumerate(spans[row]):
+                span = {name: span[i] for name, i in fields.items()}
+                if not span["start"] <= step < span["start"] + span["len"]:
+                    continue
+                assert node not in bricks, "two spans hold a step"
+                if span["kind"] == 0:
+                    bricks[node] = numpy.full((full,) * 3, numpy.nan)
+                elif span["kind"] == 1:
+                    bricks[node] = numpy.full((full,) * 3, span["value"])
+                else:
+                    place = int(span["class"]), int(span["payload_row"]), int(span["payload_node"])
+                    stages = range(len(group["classes"][place[0]]["stages"]))
+                    total = None
+                    for s in stages:
+                        values = read_stage(group, header, level, window, place[0], s, place[1], place[2])
+                        values = values(int(step - span["start"]))
+                        total = values if total is None else total + values
+                    low, high = span["drawn_min"], span["drawn_max"]
+                    assert low <= total.min() and total.max() <= high, "decoded samples leave the drawn range"
+                    bricks[node] = total
+                if not math.isnan(span["mask_row"]):
+                    mask = header["root"][f"{folder}/mask"][int(span["mask_row"]), int(span["mask_node"]), :]
+                    bits = numpy.unpackbits(mask, bitorder="little")[: full**3].reshape((full,) * 3)
+                    bricks[node] = numpy.where(bits == 1, numpy.nan, bricks[node])
+    nodes = header["root"][f"nodes/L{level}"].shape[0]
+    assert sorted(bricks) == list(range(nodes)), "a node has no span at the step"
+    return [bricks[node] for node in range(nodes)]
+
+
+def read_all(root):
+    """Opens everything in the group and reads every chunk."""
+    num_arrays = 0
+    for path, member in root.members(max_depth=None):
+        if isinstance(member, zarr.Array):
+            member[...]
+            num_arrays += 1
+    return num_arrays
+
+
+def main():
+    root = zarr.open_group(sys.argv[1], mode="r")
+    header = dict(root.attrs["chronoxel"])
+    assert header["version"] == 1
+    header["root"] = root
+    print(f"{read_all(root)} arrays read")
+    for level, entry in enumerate(header["levels"]):
+        nodes = root[f"nodes/L{level}"][:]
+        assert len(nodes) == entry["num_nodes"] and (numpy.diff(nodes.astype(numpy.int64)) > 0).all()
+    if len(sys.argv) < 3:
+        return
+    with open(sys.argv[2], encoding="utf-8") as file:
+        samples = json.load(file)
+    num_compared = 0
+    for entry in samples:
+        bricks = decode(header, entry["variable"], entry["level"], entry["step"])
+        found = bricks[entry["node"]].ravel()
+        for index, value in entry["samples"]:
+            value = math.nan if value is None else value
+            assert found[index] == value or (math.isnan(found[index]) and math.isnan(value)), (entry, index, found[index])
+            num_compared += 1
+    assert num_compared > 0
+    print(f"{num_compared} samples are equal")
+
+
+main()

@@ -1,0 +1,186 @@
+//! `encode`: from source files to a store.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use chronoxel_ingest::{
+    TimeSeries,
+    encode::{Codec, EncodeOptions, encode},
+};
+
+use super::{
+    args::{Common, SourceArgs, parse_not_negative, parse_range, parse_store_path},
+    output,
+};
+use crate::{
+    bytes::ByteSize,
+    process::resource_usage,
+    progress::{Counted, Progress},
+};
+
+/// Read a series of volumes once, and write it as a store
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel encode 'run/density_*.vti' -o run.cxl
+  chronoxel encode series.pvd -o run.cxl --variable pressure --max-error 0.001
+  chronoxel encode 'scan_*.raw' --dims 512x512x300 --dtype u16 --spacing 0.5,0.5,1 -o scan.cxl
+  chronoxel encode 'sim:vortex?dims=128&steps=32' -o vortex.cxl
+  chronoxel encode 'run/density_*.vti' -o run.cxl --resume      go on after an interruption")]
+pub struct EncodeArgs {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// The store to write; must end in .cxl
+    #[arg(short, long, value_name = "STORE", value_parser = parse_store_path)]
+    output: PathBuf,
+    /// How samples are coded
+    #[arg(long, value_name = "CODEC", default_value = "auto")]
+    codec: CodecName,
+    /// Largest error of any sample, in units of the variable's range, such as 0.001
+    #[arg(long, value_name = "E", value_parser = parse_not_negative)]
+    max_error: Option<f64>,
+    /// Bits per sample and step: 8 or 16 [default: 16; 8 where the samples are 8-bit integers]
+    #[arg(long, value_name = "B", value_parser = parse_bits, conflicts_with = "max_error")]
+    bits: Option<u8>,
+    /// Samples along the edge of a brick's core: 8, 16, 32, 64 or 128
+    #[arg(long, value_name = "N", default_value_t = 32)]
+    brick: usize,
+    /// Range of values that --max-error refers to [default: the range seen so far]
+    #[arg(long, value_name = "MIN:MAX", value_parser = parse_range, allow_hyphen_values = true)]
+    range: Option<[f64; 2]>,
+    /// Go on with a store that was interrupted
+    #[arg(long, conflicts_with = "overwrite")]
+    resume: bool,
+    /// Replace a store that exists
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Names of the codecs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum CodecName {
+    /// Per brick, the fewest bytes that keep within --max-error
+    Auto,
+    /// 8 or 16 bits for every sample, within the brick's range
+    Raw,
+}
+
+fn parse_bits(text: &str) -> Result<u8, String> {
+    match text {
+        "8" => Ok(8),
+        "16" => Ok(16),
+        _ => Err(format!("{text:?} bits are not available; use 8 or 16")),
+    }
+}
+
+/// What was encoded, as it is printed.
+#[derive(Debug, Serialize)]
+pub struct EncodeSummary {
+    store: PathBuf,
+    raw_bytes: u64,
+    stored_bytes: u64,
+    /// Raw over stored.
+    pub ratio: f64,
+    bits_per_sample: f64,
+    wall_secs: f64,
+    bytes_per_sec: f64,
+    peak_rss_bytes: Option<u64>,
+    steps_read: usize,
+    steps_resumed: usize,
+    masked_samples: u64,
+    infinite_samples: u64,
+    threads: usize,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
+    let mut series = args.source.open()?;
+    let options = EncodeOptions {
+        codec: match args.codec {
+            CodecName::Auto => Codec::Auto,
+            CodecName::Raw => Codec::Raw,
+        },
+        bits: args.bits,
+        max_error: args.max_error,
+        range: args.range,
+        brick_edge: args.brick,
+        fill_value: args.source.hints.fill_value,
+        source_name: args.source.source.join(" "),
+        variables: args.source.hints.variable.clone(),
+        resume: args.resume,
+        overwrite: args.overwrite,
+        ..options_of(common)
+    };
+    let summary = encode_series(common, series.as_mut(), &args.output, &options)?;
+    match common.json {
+        true => output::json(&summary),
+        false if common.quiet => Ok(()),
+        false => output::line(&summary.text()),
+    }
+}
+
+/// Default options within the memory that the user gave.
+pub fn options_of(common: &Common) -> EncodeOptions {
+    EncodeOptions { memory_bytes: common.memory.0, ..EncodeOptions::default() }
+}
+
+/// Encodes behind a progress bar.
+pub fn encode_series(
+    common: &Common,
+    series: &mut dyn TimeSeries,
+    store: &Path,
+    options: &EncodeOptions,
+) -> anyhow::Result<EncodeSummary> {
+    let num_samples = series.grid().num_samples() as u64 * series.times().num_steps() as u64;
+    let mut bar: Option<Progress> = None;
+    let report = encode(series, store, options, &mut |done| {
+        let bar = bar.get_or_insert_with(|| {
+            Progress::new("encode", done.raw_bytes, Counted::Bytes, common.quiet || common.json)
+        });
+        bar.set(done.done_bytes);
+    })?;
+    if let Some(bar) = bar {
+        bar.finish();
+    }
+    if report.num_infinite > 0 {
+        output::warning(&format!("{} infinite samples were masked, as NaN is", report.num_infinite));
+    }
+    let num_variables = match options.variables.len() {
+        0 => series.variables().len(),
+        n => n,
+    } as u64;
+    Ok(EncodeSummary {
+        store: store.to_owned(),
+        raw_bytes: report.raw_bytes,
+        stored_bytes: report.stored_bytes,
+        ratio: report.raw_bytes as f64 / report.stored_bytes as f64,
+        bits_per_sample: report.stored_bytes as f64 * 8.0 / (num_samples * num_variables) as f64,
+        wall_secs: report.wall_secs,
+        bytes_per_sec: report.raw_bytes as f64 / report.wall_secs,
+        peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
+        steps_read: report.steps_read,
+        steps_resumed: report.steps_resumed,
+        masked_samples: report.num_masked,
+        infinite_samples: report.num_infinite,
+        threads: rayon::current_num_threads(),
+    })
+}
+
+impl EncodeSummary {
+    /// One line for people.
+    pub fn text(&self) -> String {
+        format!(
+            "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {} steps in {:.1} s ({}/s, {} threads)",
+            self.store.display(),
+            ByteSize(self.raw_bytes),
+            ByteSize(self.stored_bytes),
+            self.ratio,
+            self.bits_per_sample,
+            self.steps_read,
+            self.wall_secs,
+            ByteSize(self.bytes_per_sec as u64),
+            self.threads
+        )
+    }
+}

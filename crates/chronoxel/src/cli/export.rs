@@ -1,0 +1,95 @@
+//! `export`: decoded steps in the formats of other programs.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use chronoxel_core::TimeAxis;
+use chronoxel_ingest::{
+    decode_step,
+    export::{self, ExportDescription},
+};
+use chronoxel_store::Store;
+
+use super::{
+    args::{Common, StepRange},
+    output,
+};
+use crate::progress::{Counted, Progress};
+
+/// Write decoded steps as .vti, .pvd, .npy, .nrrd or Zarr
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel export run.cxl --steps 12 -o step12.vti
+  chronoxel export run.cxl --variable pressure -o pressure.pvd
+  chronoxel export run.cxl --steps 0:100:10 -o some.npy")]
+pub struct ExportArgs {
+    /// The store
+    store: PathBuf,
+    /// What to write; its extension says the format: .vti .pvd .npy .nrrd .zarr
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Steps to write, as 0:100:2 [default: all]
+    #[arg(long, value_name = "A:B[:S]")]
+    steps: Option<StepRange>,
+    /// Variable to write [default: the first]
+    #[arg(long, value_name = "NAME")]
+    variable: Option<String>,
+}
+
+#[derive(Serialize)]
+struct ExportReport {
+    output: String,
+    variable: String,
+    steps: Vec<usize>,
+    sample_type: String,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
+    let store = Store::open(&args.store)?;
+    let header = store.header();
+    let index = super::variable_index(&store, args.variable.as_deref())?;
+    let variable = &header.variables[index];
+    let num_finished = header.num_steps_finished as usize;
+    let steps = match args.steps {
+        Some(range) => range.resolve(num_finished)?,
+        None => (0..num_finished).collect(),
+    };
+    let times = steps.iter().map(|&step| header.times.times[step]).collect();
+    let description = ExportDescription {
+        grid: header.grid,
+        times: TimeAxis::new(times, header.times.units.clone())?,
+        name: variable.name.clone(),
+        units: variable.units.clone(),
+        sample_type: variable.sample_type,
+        fill_value: variable.fill_value,
+    };
+    let mut writer = export::create(&args.output, &description)?;
+    let bar =
+        Progress::new("export", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
+    for (number, &step) in steps.iter().enumerate() {
+        writer.write_step(number, &decode_step(&store, index, step)?)?;
+        bar.advance(1);
+    }
+    writer.finish()?;
+    bar.finish();
+    let report = ExportReport {
+        output: args.output.display().to_string(),
+        variable: variable.name.clone(),
+        sample_type: description.sample_type.to_string(),
+        steps,
+    };
+    match common.json {
+        true => output::json(&report),
+        false if common.quiet => Ok(()),
+        false => output::line(&format!(
+            "{}: {} steps of {} as {}",
+            report.output,
+            report.steps.len(),
+            report.variable,
+            report.sample_type
+        )),
+    }
+}

@@ -1,0 +1,273 @@
+//! `info`: what a source or a store holds.
+
+use std::path::Path;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use chronoxel_core::{TimeAxis, UniformGrid};
+use chronoxel_ingest::TimeSeries;
+use chronoxel_store::Store;
+
+use super::{
+    args::{Common, SourceArgs},
+    output,
+};
+use crate::bytes::ByteSize;
+
+/// Say what a source or a store holds: grid, times, variables, sizes
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel info run.cxl
+  chronoxel info 'run/density_*.vti' --json")]
+pub struct InfoArgs {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Steps of a source to read for the ranges of its variables [default: all of up to 1 GiB, else the first]
+    #[arg(long, value_name = "STEPS")]
+    ranges: Option<Ranges>,
+}
+
+/// Which steps of a source are read for the ranges of its variables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Ranges {
+    All,
+    First,
+    None,
+}
+
+/// Up to this much is read without being asked for.
+const READ_UNASKED_BYTES: u64 = 1 << 30;
+
+#[derive(Serialize)]
+struct InfoReport {
+    kind: &'static str,
+    grid: Value,
+    num_steps: usize,
+    times: Vec<f64>,
+    time_units: String,
+    variables: Map<String, Value>,
+    raw_bytes: u64,
+    #[serde(flatten)]
+    store: Map<String, Value>,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &InfoArgs) -> anyhow::Result<()> {
+    let report = match &args.source.source[..] {
+        [one] if one.ends_with(".cxl") || one.ends_with(".cxl/") => store_report(Path::new(one))?,
+        _ => source_report(args)?,
+    };
+    match common.json {
+        true => output::json(&report),
+        false => output::line(&text(&report)),
+    }
+}
+
+fn grid_json(grid: &UniformGrid) -> Value {
+    json!({
+        "type": "uniform",
+        "dims": grid.dims,
+        "spacing": grid.spacing,
+        "origin": grid.origin,
+        "num_cells": grid.num_cells(),
+    })
+}
+
+fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
+    let store = Store::open(path)?;
+    let header = store.header();
+    let variables = header.variables.iter().map(|v| {
+        let codecs: Vec<String> = v.classes.iter().map(ToString::to_string).collect();
+        let entry = json!({
+            "min": v.min,
+            "max": v.max,
+            "units": v.units,
+            "sample_type": v.sample_type,
+            "fill_value": v.fill_value,
+            "codec": header.encoder.get("codec").cloned().unwrap_or(Value::Null),
+            "payload_classes": codecs,
+        });
+        (v.name.clone(), entry)
+    });
+    let stored_bytes = store.stored_bytes()?;
+    let finished = header.num_steps_finished as usize;
+    let raw_bytes = header.raw_bytes() / header.num_steps().max(1) as u64 * finished as u64;
+    let totals = &header.totals;
+    let per_brick = if header.apron_stored { header.bricks.num_full() } else { header.bricks.num_core() };
+    let levels: Vec<Value> =
+        header.levels.iter().map(|l| json!({ "dims": l.dims, "num_nodes": l.num_nodes })).collect();
+    let store_fields = json!({
+        "num_steps_finished": finished,
+        "complete": store.is_complete(),
+        "format_version": header.version,
+        "brick": {
+            "edge": header.bricks.edge,
+            "cells": header.bricks.num_core(),
+            "samples_stored": per_brick,
+        },
+        "num_levels": header.levels.len(),
+        "levels": levels,
+        "stored_bytes": stored_bytes,
+        "ratio": raw_bytes as f64 / stored_bytes.max(1) as f64,
+        "payloads": {
+            "empty": totals.empty,
+            "constant": totals.constant,
+            "coded": totals.coded,
+            "shared": totals.shared,
+            "masked": totals.masked,
+        },
+        "encoder": header.encoder,
+    });
+    Ok(InfoReport {
+        kind: "store",
+        grid: grid_json(&header.grid),
+        num_steps: header.times.num_steps(),
+        times: header.times.times.clone(),
+        time_units: header.times.units.clone(),
+        variables: variables.collect(),
+        raw_bytes,
+        store: store_fields.as_object().cloned().unwrap_or_default(),
+    })
+}
+
+fn source_report(args: &InfoArgs) -> anyhow::Result<InfoReport> {
+    let mut series = args.source.open()?;
+    let grid = *series.grid();
+    let TimeAxis { times, units } = series.times().clone();
+    let step_bytes: u64 = series.variables().iter().map(|v| v.sample_type.num_bytes() as u64).sum::<u64>()
+        * grid.num_samples() as u64;
+    let raw_bytes = step_bytes * times.len() as u64;
+    let wanted =
+        args.ranges.unwrap_or(if raw_bytes <= READ_UNASKED_BYTES { Ranges::All } else { Ranges::First });
+    let num_read = match wanted {
+        Ranges::All => times.len(),
+        Ranges::First => 1,
+        Ranges::None => 0,
+    };
+    let mut variables = Map::new();
+    for (index, variable) in series.variables().to_vec().into_iter().enumerate() {
+        let found = ranges_of(series.as_mut(), index, variable.fill_value, num_read)?;
+        let entry = json!({
+            "min": found.range.map(|r| r[0]),
+            "max": found.range.map(|r| r[1]),
+            "mean": found.mean,
+            "missing_samples": found.num_missing,
+            "units": variable.units,
+            "sample_type": variable.sample_type,
+            "fill_value": variable.fill_value,
+            "codec": Value::Null,
+        });
+        variables.insert(variable.name, entry);
+    }
+    let fields = json!({ "range_steps": num_read });
+    Ok(InfoReport {
+        kind: "source",
+        grid: grid_json(&grid),
+        num_steps: times.len(),
+        times,
+        time_units: units,
+        variables,
+        raw_bytes,
+        store: fields.as_object().cloned().unwrap_or_default(),
+    })
+}
+
+/// What a pass over some steps of a variable found.
+#[derive(Default)]
+struct Found {
+    range: Option<[f64; 2]>,
+    mean: Option<f64>,
+    num_missing: u64,
+}
+
+fn ranges_of(
+    series: &mut dyn TimeSeries,
+    variable: usize,
+    fill_value: Option<f64>,
+    num_steps: usize,
+) -> anyhow::Result<Found> {
+    let [nx, ny, nz] = series.grid().dims;
+    let slab = (SLAB_SAMPLES / (nx * ny)).clamp(1, nz);
+    let (mut found, mut sum, mut count) = (Found::default(), 0.0, 0u64);
+    for step in 0..num_steps {
+        let mut reader = series.open_step(variable, step)?;
+        for first in (0..nz).step_by(slab) {
+            let samples = reader.read_slices(slab.min(nz - first))?;
+            for value in (0..samples.len()).map(|i| samples.get(i)) {
+                if !value.is_finite() || Some(value) == fill_value {
+                    found.num_missing += 1;
+                    continue;
+                }
+                let [low, high] = found.range.unwrap_or([value; 2]);
+                found.range = Some([low.min(value), high.max(value)]);
+                sum += value;
+                count += 1;
+            }
+        }
+    }
+    found.mean = (count > 0).then(|| sum / count as f64);
+    Ok(found)
+}
+
+/// Samples that are read at once.
+const SLAB_SAMPLES: usize = 1 << 22;
+
+fn text(report: &InfoReport) -> String {
+    let numbers = |key: &str| {
+        let values = report.grid[key].as_array().into_iter().flatten();
+        values.map(ToString::to_string).collect::<Vec<_>>().join(" x ")
+    };
+    let units = if report.time_units.is_empty() { String::new() } else { format!(" {}", report.time_units) };
+    let (first, last) = (report.times.first().unwrap_or(&0.0), report.times.last().unwrap_or(&0.0));
+    let mut lines = vec![
+        format!(
+            "{:<10} {} {}",
+            report.kind,
+            report.grid["type"].as_str().unwrap_or_default(),
+            numbers("dims")
+        ),
+        format!(
+            "{:<10} {}  origin {}",
+            "spacing",
+            numbers("spacing"),
+            numbers("origin").replace(" x ", ", ")
+        ),
+        format!("{:<10} {} from {first} to {last}{units}", "steps", report.num_steps),
+        format!("{:<10} {}", "samples", ByteSize(report.raw_bytes)),
+    ];
+    if let Some(stored) = report.store.get("stored_bytes").and_then(Value::as_u64) {
+        let ratio = report.store["ratio"].as_f64().unwrap_or_default();
+        lines.push(format!("{:<10} {} ({ratio:.1} : 1)", "stored", ByteSize(stored)));
+        lines.push(format!(
+            "{:<10} {} levels of bricks with {} samples an edge",
+            "tree", report.store["num_levels"], report.store["brick"]["edge"]
+        ));
+        let payloads = &report.store["payloads"];
+        lines.push(format!(
+            "{:<10} {} coded, {} shared, {} constant, {} empty",
+            "payloads", payloads["coded"], payloads["shared"], payloads["constant"], payloads["empty"]
+        ));
+        if report.store["complete"] == false {
+            let finished = &report.store["num_steps_finished"];
+            lines.push(format!("unfinished: {finished} steps can be read; encode --resume goes on"));
+        }
+    }
+    if let Some(steps) = report.store.get("range_steps").and_then(Value::as_u64)
+        && steps < report.num_steps as u64
+    {
+        lines.push(format!("ranges are those of the first {steps} steps; --ranges all reads every step"));
+    }
+    let heading = ["variable", "type", "min", "max", "units"].map(str::to_owned).to_vec();
+    let rows = report.variables.iter().map(|(name, v)| {
+        let text = |key: &str| match &v[key] {
+            Value::String(text) => text.clone(),
+            Value::Null => "-".to_owned(),
+            other => other.to_string(),
+        };
+        vec![name.clone(), text("sample_type"), text("min"), text("max"), text("units")]
+    });
+    lines.push(output::table(&std::iter::once(heading).chain(rows).collect::<Vec<_>>()));
+    lines.join("\n")
+}

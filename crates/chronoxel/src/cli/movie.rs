@@ -1,0 +1,124 @@
+//! `movie`: many pictures.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{
+    args::{Common, StepRange},
+    output,
+    view::{ViewArgs, parse_fps},
+};
+use crate::{
+    movie::{self, Frame, MovieOptions},
+    progress::{Counted, Progress},
+    session::Session,
+};
+
+/// Draw a movie through the time steps
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel movie run.cxl -o run.gif
+  chronoxel movie run.cxl --steps 0:100:2 --orbit 90 --fps 30 -o run.mp4
+  chronoxel movie run.cxl -o 'frames/{frame:04}.png'
+  chronoxel movie run.cxl --steps 12 --frames 72 --orbit 360 -o turntable.apng")]
+pub struct MovieArgs {
+    /// The store
+    store: PathBuf,
+    /// What to write: .mp4 (through ffmpeg), .gif, .apng, or numbered pictures 'f/{frame:04}.png'
+    #[arg(short, long, value_name = "OUT")]
+    output: String,
+    /// Steps to show, as 0:100:2 [default: all]
+    #[arg(long, value_name = "A:B[:S]")]
+    steps: Option<StepRange>,
+    /// Number of pictures, the steps being shown evenly over them [default: one per step]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: Option<u32>,
+    /// Pictures per second
+    #[arg(long, value_name = "FPS", default_value_t = 15.0, value_parser = parse_fps)]
+    fps: f64,
+    /// Turn about the vertical axis over the whole movie, in degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    orbit: f64,
+    #[command(flatten)]
+    view: ViewArgs,
+}
+
+/// What was made.
+#[derive(Debug, Serialize)]
+pub struct MovieReport {
+    output: String,
+    frames: usize,
+    size: [usize; 2],
+    fps: f64,
+    wall_secs: f64,
+    backend: &'static str,
+    adapter: String,
+    warnings: Vec<String>,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &MovieArgs) -> anyhow::Result<()> {
+    let report = args.make(common)?;
+    match common.json {
+        true => output::json(&report),
+        false if common.quiet => Ok(()),
+        false => output::line(&format!(
+            "{}: {} pictures of {}x{} in {:.1} s",
+            report.output, report.frames, report.size[0], report.size[1], report.wall_secs
+        )),
+    }
+}
+
+impl MovieArgs {
+    /// Draws the movie and writes it.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being drawn or written.
+    pub fn make(&self, common: &Common) -> anyhow::Result<MovieReport> {
+        let start = std::time::Instant::now();
+        let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
+        let header = session.store().header().clone();
+        let num_finished = header.num_steps_finished as usize;
+        let steps = match self.steps {
+            Some(range) => range.resolve(num_finished)?,
+            None => (0..num_finished).collect(),
+        };
+        let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
+        let options = MovieOptions { size: self.view.size, fps: self.fps, num_frames };
+        let mut view = self.view.view(&session)?;
+        let mut sink = movie::create(&self.output, options)?;
+        let bar =
+            Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
+        let mut warnings = Vec::new();
+        for frame in 0..num_frames {
+            let step = steps[frame * steps.len() / num_frames];
+            let time = header.times.times[step];
+            if self.orbit != 0.0 {
+                let turn = self.orbit * frame as f64 / num_frames as f64;
+                view.camera = self.view.camera.turned(&header.grid, view.size, turn)?;
+            }
+            let picture = session.draw(&view, step)?;
+            for warning in &picture.warnings {
+                bar.warn(&format!("chronoxel: warning: step {step}: {warning}"));
+                warnings.push(warning.clone());
+            }
+            let image = self.view.show(&session, &view, &picture, step)?;
+            sink.write_frame(&Frame { image: &image, step, time })?;
+            bar.advance(1);
+        }
+        sink.finish()?;
+        bar.finish();
+        Ok(MovieReport {
+            output: self.output.clone(),
+            frames: num_frames,
+            size: self.view.size,
+            fps: self.fps,
+            wall_secs: start.elapsed().as_secs_f64(),
+            backend: super::render::BACKEND,
+            adapter: super::render::adapter(),
+            warnings,
+        })
+    }
+}

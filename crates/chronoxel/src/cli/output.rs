@@ -1,0 +1,52 @@
+//! What the command line prints, and where: results on stdout, everything else on stderr.
+
+use std::io::Write;
+
+use serde::Serialize;
+
+/// Prints one JSON object on stdout. A closed pipe is not an error.
+pub fn json(value: &impl Serialize) -> anyhow::Result<()> {
+    line(&serde_json::to_string(value)?)
+}
+
+/// Prints one line on stdout. A closed pipe is not an error.
+pub fn line(text: &str) -> anyhow::Result<()> {
+    match writeln!(std::io::stdout().lock(), "{text}") {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => Ok(other?),
+    }
+}
+
+/// Prints a warning on stderr.
+pub fn warning(text: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "chronoxel: warning: {text}");
+}
+
+/// Prints an error and its causes on one line of stderr.
+pub fn error(error: &anyhow::Error) {
+    let _ = writeln!(std::io::stderr().lock(), "chronoxel: error: {error:#}");
+}
+
+/// Pads the columns of a table: the first to the left, the others to the right.
+pub fn table(rows: &[Vec<String>]) -> String {
+    let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let width = |c: usize| rows.iter().filter_map(|r| r.get(c)).map(|t| t.chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..num_columns).map(width).collect();
+    let lines = rows.iter().map(|row| {
+        let cells = row.iter().enumerate().map(|(c, text)| match c {
+            0 => format!("{text:<w$}", w = widths[c]),
+            _ => format!("{text:>w$}", w = widths[c]),
+        });
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn tables_align() {
+        let rows = [vec!["a".to_owned(), "10".to_owned()], vec!["long".to_owned(), "5".to_owned()]];
+        assert_eq!(super::table(&rows), "a     10\nlong   5");
+    }
+}

@@ -1,0 +1,151 @@
+//! `verify`: whether a store is sound, and how far it is from its source.
+
+use std::{path::PathBuf, sync::OnceLock};
+
+use clap::Args;
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use chronoxel_ingest::measure;
+use chronoxel_store::{Store, verify};
+
+use super::{
+    args::{Common, SourceHints, StepRange},
+    output,
+};
+use crate::progress::{Counted, Progress};
+
+/// Check every checksum and invariant of a store; with --against, its errors
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel verify run.cxl
+  chronoxel verify run.cxl --against 'run/density_*.vti'")]
+pub struct VerifyArgs {
+    /// The store
+    store: PathBuf,
+    /// The source it was made from: files, a quoted glob, a simulation
+    #[arg(long, value_name = "SOURCE", num_args = 1..)]
+    against: Vec<String>,
+    /// Steps to measure against the source, as 0:100:2 [default: all]
+    #[arg(long, value_name = "A:B[:S]", requires = "against")]
+    steps: Option<StepRange>,
+    #[command(flatten)]
+    hints: SourceHints,
+}
+
+/// What was found.
+#[derive(Debug, Serialize)]
+pub struct VerifyReport {
+    /// Whether there is no problem.
+    pub ok: bool,
+    problems: Vec<String>,
+    variables: Map<String, Value>,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &VerifyArgs) -> anyhow::Result<()> {
+    let store = Store::open(&args.store)?;
+    let mut report = check(common, &store)?;
+    if !args.against.is_empty() {
+        measure_against(common, &store, args, &mut report)?;
+    }
+    match common.json {
+        true => output::json(&report)?,
+        false => output::line(&report.text(&store))?,
+    }
+    anyhow::ensure!(report.ok, "{}: {} problems found", args.store.display(), report.problems.len());
+    Ok(())
+}
+
+/// Checks every checksum and invariant.
+pub fn check(common: &Common, store: &Store) -> anyhow::Result<VerifyReport> {
+    let bar: OnceLock<Progress> = OnceLock::new();
+    let found = verify(store, &|done, total| {
+        let quiet = common.quiet || common.json;
+        bar.get_or_init(|| Progress::new("verify", total, Counted::Items("parts"), quiet)).set(done);
+    });
+    if let Some(bar) = bar.get() {
+        bar.finish();
+    }
+    let mut problems = found.problems;
+    if found.num_problems > problems.len() as u64 {
+        problems.push(format!("and {} more", found.num_problems - problems.len() as u64));
+    }
+    Ok(VerifyReport { ok: problems.is_empty(), problems, variables: Map::new() })
+}
+
+fn measure_against(
+    common: &Common,
+    store: &Store,
+    args: &VerifyArgs,
+    report: &mut VerifyReport,
+) -> anyhow::Result<()> {
+    let mut series = args.hints.open(&args.against)?;
+    let num_finished = store.header().num_steps_finished as usize;
+    let steps = match args.steps {
+        Some(range) => range.resolve(num_finished)?,
+        None => (0..num_finished).collect(),
+    };
+    measure_series(common, store, series.as_mut(), &steps, report)
+}
+
+/// Adds the errors of a store against a series to a report.
+pub fn measure_series(
+    common: &Common,
+    store: &Store,
+    series: &mut dyn chronoxel_ingest::TimeSeries,
+    steps: &[usize],
+    report: &mut VerifyReport,
+) -> anyhow::Result<()> {
+    let bar =
+        Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
+    let found = measure(store, series, steps.iter().copied().inspect(|_| bar.advance(1)))?;
+    bar.finish();
+    for errors in found.variables {
+        let [min, max, avg] = errors.mse_range();
+        let entry = json!({
+            "mse": { "min": min, "max": max, "avg": avg },
+            "psnr_db": Some(errors.psnr_db()).filter(|psnr| psnr.is_finite()),
+            "max_abs_error": errors.max_abs_error,
+            "bits_per_sample": errors.bits_per_sample,
+        });
+        report.variables.insert(errors.name, entry);
+    }
+    report.problems.extend(found.problems);
+    report.ok = report.problems.is_empty();
+    Ok(())
+}
+
+impl VerifyReport {
+    /// Peak signal-to-noise ratio of a variable that was measured, in dB; `None` where there is no error.
+    pub fn psnr_db(&self, variable: &str) -> Option<f64> {
+        self.variables.get(variable)?["psnr_db"].as_f64()
+    }
+
+    fn text(&self, store: &Store) -> String {
+        let mut lines = self.problems.clone();
+        if self.ok {
+            lines.push(format!("{}: sound", store.path().display()));
+        }
+        if !self.variables.is_empty() {
+            let heading = ["variable", "mse min", "max", "avg", "PSNR dB", "largest error", "bits/sample"];
+            let mut rows = vec![heading.map(str::to_owned).to_vec()];
+            for (name, v) in &self.variables {
+                let small = |value: &Value| format!("{:.2e}", value.as_f64().unwrap_or(f64::NAN));
+                rows.push(vec![
+                    name.clone(),
+                    small(&v["mse"]["min"]),
+                    small(&v["mse"]["max"]),
+                    small(&v["mse"]["avg"]),
+                    v["psnr_db"].as_f64().map_or("lossless".to_owned(), |psnr| format!("{psnr:.2}")),
+                    small(&v["max_abs_error"]),
+                    format!("{:.3}", v["bits_per_sample"].as_f64().unwrap_or(f64::NAN)),
+                ]);
+            }
+            lines.push(output::table(&rows));
+            lines
+                .push("errors on values scaled to [0, 1] by the variable's range; mse over steps".to_owned());
+        }
+        lines.join("\n")
+    }
+}

@@ -1,0 +1,352 @@
+//! The options that say what a picture shows: variable, camera, transfer function, size.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use chronoxel_core::{Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid};
+use clap::{Args, ValueEnum};
+
+use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive};
+use crate::{
+    annotate::{AxesBox, ColorBar, Style, TimeLabel},
+    session::{Picture, Session, View, orbit_camera},
+};
+
+/// Options of `render`, `movie` and `play`.
+#[derive(Debug, Clone, Args)]
+pub struct ViewArgs {
+    /// Variable to draw [default: the first]
+    #[arg(long, value_name = "NAME")]
+    pub variable: Option<String>,
+    /// Picture size in pixels
+    #[arg(long, value_name = "WxH", default_value = "1024x768", value_parser = parse_picture_size)]
+    pub size: [usize; 2],
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub transfer: TransferArgs,
+    /// Distance between samples along a ray, in voxels
+    #[arg(long, value_name = "VOXELS", default_value_t = 0.5, value_parser = parse_positive)]
+    pub step: f64,
+    /// Ambient, diffuse and specular lighting
+    #[arg(long, value_name = "SWITCH", default_value = "on")]
+    pub lighting: Switch,
+    /// How the volume is drawn
+    #[arg(long, value_name = "METHOD", default_value = "raycast")]
+    pub method: Method,
+    /// What draws it
+    #[arg(long, value_name = "BACKEND", default_value = "auto")]
+    pub backend: Backend,
+    /// Finest octree level to draw; 0 is full resolution
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub level: u8,
+    /// Background: a name, #RRGGBB, or transparent
+    #[arg(long, value_name = "COLOR", default_value = "black", value_parser = parse_background)]
+    pub background: Background,
+    /// Draw the volume's box with its coordinates
+    #[arg(long)]
+    pub axes: bool,
+    /// Draw a colour bar with the variable's name and units
+    #[arg(long)]
+    pub colorbar: bool,
+    /// Write the time and the step into the picture
+    #[arg(long)]
+    pub time_label: bool,
+}
+
+/// From where the volume is seen.
+#[derive(Debug, Clone, Args)]
+pub struct CameraArgs {
+    /// Camera file (JSON), in place of the angles
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["azimuth", "elevation", "zoom", "fov", "ortho"])]
+    pub camera: Option<PathBuf>,
+    /// Turn about the vertical axis, in degrees
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, allow_hyphen_values = true, value_parser = parse_finite)]
+    pub azimuth: f64,
+    /// Height above the horizon, in degrees
+    #[arg(long, value_name = "DEG", default_value_t = 20.0, allow_hyphen_values = true, value_parser = parse_finite)]
+    pub elevation: f64,
+    /// 1 shows the whole box; 2 twice as large
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = parse_positive)]
+    pub zoom: f64,
+    /// Vertical field of view, in degrees
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_positive)]
+    pub fov: f64,
+    /// Orthographic instead of perspective
+    #[arg(long, conflicts_with = "fov")]
+    pub ortho: bool,
+}
+
+/// How values become colours and opacities.
+#[derive(Debug, Clone, Args)]
+pub struct TransferArgs {
+    /// Transfer function: ramp, sparse, filled, or a file (ours or a ParaView preset)
+    #[arg(long, value_name = "NAME|FILE", default_value = "ramp")]
+    pub tf: String,
+    /// Colour map of the built-in functions: viridis, inferno, turbo, coolwarm, gray [default: viridis]
+    #[arg(long, value_name = "NAME")]
+    pub colormap: Option<String>,
+    /// Path length, in world units, that opacities refer to [default: the smallest spacing]
+    #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
+    pub opacity_unit: Option<f64>,
+}
+
+/// Which time step a picture shows.
+#[derive(Debug, Clone, Args)]
+pub struct StepArgs {
+    /// Time step, from 0 [default: the first]
+    #[arg(short = 't', long, value_name = "STEP", conflicts_with = "time")]
+    pub time_step: Option<usize>,
+    /// Time, in the source's units; the nearest step is drawn
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse_finite)]
+    pub time: Option<f64>,
+}
+
+/// On or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum Switch {
+    On,
+    Off,
+}
+
+/// Ways to draw a volume.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Method {
+    /// Rays from the eye through every pixel.
+    Raycast,
+}
+
+/// What draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Backend {
+    /// The best there is; what was taken is reported.
+    Auto,
+    /// The processor, with all its threads.
+    Cpu,
+}
+
+/// What is behind the volume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Background {
+    /// Nothing: the picture keeps its alpha.
+    Transparent,
+    /// An sRGB colour, each part in [0, 1].
+    Color([f32; 3]),
+}
+
+fn parse_background(text: &str) -> Result<Background, String> {
+    let named = [
+        ("black", [0, 0, 0]),
+        ("white", [255, 255, 255]),
+        ("gray", [128, 128, 128]),
+        ("darkgray", [40, 40, 40]),
+        ("navy", [12, 18, 40]),
+    ];
+    if text == "transparent" {
+        return Ok(Background::Transparent);
+    }
+    let rgb = match named.iter().find(|(name, _)| *name == text) {
+        Some((_, rgb)) => Some(*rgb),
+        None => text.strip_prefix('#').filter(|hex| hex.len() == 6).and_then(|hex| {
+            let value = u32::from_str_radix(hex, 16).ok()?;
+            Some([(value >> 16) as u8, (value >> 8) as u8, value as u8])
+        }),
+    };
+    rgb.map(|rgb| Background::Color(rgb.map(|c| f32::from(c) / 255.0))).ok_or_else(|| {
+        format!(
+            "{text:?} is not a colour; use #RRGGBB, transparent, {}",
+            named.map(|(name, _)| name).join(", ")
+        )
+    })
+}
+
+impl ViewArgs {
+    /// What the pictures show of an open store.
+    ///
+    /// # Errors
+    /// If a camera or transfer-function file cannot be read or used, or the level does not exist.
+    pub fn view(&self, session: &Session) -> anyhow::Result<View> {
+        let grid = session.store().header().grid;
+        let num_levels = session.store().tree().num_levels();
+        anyhow::ensure!(
+            usize::from(self.level) < num_levels,
+            "--level is {}: the store has levels 0 to {}",
+            self.level,
+            num_levels - 1
+        );
+        Ok(View {
+            camera: self.camera.camera(&grid, self.size)?,
+            transfer: session.resolve(&self.transfer.function()?)?,
+            size: self.size,
+            step_voxels: self.step,
+            lighting: (self.lighting == Switch::On).then(Lighting::default),
+            opacity_unit: self.transfer.opacity_unit.unwrap_or(grid.smallest_spacing()),
+            level: self.level,
+        })
+    }
+
+    /// The picture of a step as it is shown: before its background, with what was asked to be written on it.
+    ///
+    /// # Errors
+    /// If the picture has another size than the view.
+    pub fn show(
+        &self,
+        session: &Session,
+        view: &View,
+        picture: &Picture,
+        step: usize,
+    ) -> anyhow::Result<Image8> {
+        let [width, height] = view.size;
+        let background = self.background.into();
+        let style = Style::for_picture(view.size, background);
+        let mut shown = Image8::of_background(width, height, background);
+        let header = session.store().header();
+        let axes =
+            AxesBox { camera: &view.camera, bounds: header.grid.bounds(), names: ["x", "y", "z"], units: "" };
+        if self.axes {
+            axes.draw_behind(&mut shown, &style);
+        }
+        shown.composite(&picture.image)?;
+        let mut occupied = Vec::new();
+        let mut color_bar = None;
+        if self.colorbar {
+            let variable = &header.variables[session.variable()];
+            let bar = ColorBar {
+                transfer: &view.transfer,
+                range: session.variable_range(),
+                name: &variable.name,
+                units: &variable.units,
+            };
+            occupied.extend(bar.areas(&shown, &style));
+            color_bar = Some(bar);
+        }
+        if self.time_label {
+            let label = TimeLabel::new(&header.times);
+            occupied.push(label.draw(&mut shown, &style, header.times.times[step], step).rect);
+        }
+        if self.axes {
+            axes.draw_outline(&mut shown, &style, &occupied);
+        }
+        if let Some(bar) = color_bar {
+            bar.draw(&mut shown, &style);
+        }
+        Ok(shown)
+    }
+}
+
+impl CameraArgs {
+    /// The camera for a grid, turned further by `turn_deg` where it orbits.
+    ///
+    /// # Errors
+    /// If the camera file cannot be read or used, or an angle is out of range.
+    pub fn camera(&self, grid: &UniformGrid, size: [usize; 2]) -> anyhow::Result<Camera> {
+        self.turned(grid, size, 0.0)
+    }
+
+    /// The camera for a grid, turned further about the vertical axis.
+    ///
+    /// # Errors
+    /// As [`Self::camera`]; and if a camera file is to be turned.
+    pub fn turned(&self, grid: &UniformGrid, size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
+        if let Some(path) = &self.camera {
+            anyhow::ensure!(turn_deg == 0.0, "--orbit turns the camera given by angles; leave out --camera");
+            let text = read_text(path, "camera file")?;
+            return Camera::from_json(&text).with_context(|| path.display().to_string());
+        }
+        let fov = (!self.ortho).then_some(self.fov);
+        orbit_camera(grid, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
+    }
+}
+
+impl TransferArgs {
+    /// The transfer function.
+    ///
+    /// # Errors
+    /// If the name is neither built in nor a file that can be read and used, or a colour map is asked for where a
+    /// file has its own colours.
+    pub fn function(&self) -> anyhow::Result<TransferFunction> {
+        if TransferFunction::BUILT_IN.contains(&self.tf.as_str()) {
+            let map: ColorMap = self.colormap.as_deref().unwrap_or("viridis").parse()?;
+            return Ok(TransferFunction::built_in(&self.tf, map)?);
+        }
+        let path = Path::new(&self.tf);
+        anyhow::ensure!(
+            path.exists(),
+            "--tf {:?} is neither a file nor one of the built-in functions {}",
+            self.tf,
+            TransferFunction::BUILT_IN.join(", ")
+        );
+        anyhow::ensure!(
+            self.colormap.is_none(),
+            "--colormap is for the built-in functions; {} has its own colours",
+            path.display()
+        );
+        let text = read_text(path, "transfer function")?;
+        TransferFunction::from_json(&text).with_context(|| path.display().to_string())
+    }
+}
+
+impl StepArgs {
+    /// The step meant.
+    ///
+    /// # Errors
+    /// If it is not in the store.
+    pub fn resolve(&self, session: &Session) -> anyhow::Result<usize> {
+        let header = session.store().header();
+        let num_steps = header.num_steps_finished as usize;
+        if let Some(time) = self.time {
+            return Ok(header.times.nearest_step(time).min(num_steps - 1));
+        }
+        let step = self.time_step.unwrap_or(0);
+        anyhow::ensure!(
+            step < num_steps,
+            "step {step} is not in the store: its steps are 0 to {}",
+            num_steps - 1
+        );
+        Ok(step)
+    }
+}
+
+impl From<Background> for chronoxel_core::Background {
+    fn from(background: Background) -> Self {
+        match background {
+            Background::Transparent => Self::Transparent,
+            Background::Color(color) => Self::Color(color),
+        }
+    }
+}
+
+/// Text files given by the user are small; larger ones are a mistake.
+const MOST_TEXT_BYTES: u64 = 16 << 20;
+
+fn read_text(path: &Path, what: &str) -> anyhow::Result<String> {
+    let failed = || format!("{}: cannot read the {what}", path.display());
+    let num_bytes = std::fs::metadata(path).with_context(failed)?.len();
+    anyhow::ensure!(
+        num_bytes <= MOST_TEXT_BYTES,
+        "{}: {num_bytes} bytes are too many for a {what}",
+        path.display()
+    );
+    std::fs::read_to_string(path).with_context(failed)
+}
+
+/// A number of frames per second.
+pub fn parse_fps(text: &str) -> Result<f64, String> {
+    parse_not_negative(text).and_then(|fps| match fps {
+        0.1..=240.0 => Ok(fps),
+        _ => Err(format!("{fps} frames per second are outside 0.1 to 240")),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn backgrounds() {
+        assert_eq!(parse_background("#ff0080"), Ok(Background::Color([1.0, 0.0, 128.0 / 255.0])));
+        assert_eq!(parse_background("transparent"), Ok(Background::Transparent));
+        assert!(["#ff", "pinkish", "#gggggg"].iter().all(|t| parse_background(t).is_err()));
+    }
+}

@@ -1,0 +1,53 @@
+//! What this process used: memory and processor time.
+
+/// Resources used since the process began.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ResourceUsage {
+    /// The most memory that was resident at once.
+    pub peak_rss_bytes: u64,
+    /// Processor time of all threads, user and system.
+    pub cpu_secs: f64,
+}
+
+/// Asks the operating system; `None` where it cannot tell.
+#[cfg(unix)]
+pub fn resource_usage() -> Option<ResourceUsage> {
+    let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+    // SAFETY: `getrusage` writes one `rusage` through the pointer, which is valid for it, and
+    // `RUSAGE_SELF` is a valid target; zeroed memory is a valid `rusage` in any case.
+    let usage = unsafe {
+        if libc::getrusage(libc::RUSAGE_SELF, usage.as_mut_ptr()) != 0 {
+            return None;
+        }
+        usage.assume_init()
+    };
+    let secs = |t: libc::timeval| t.tv_sec as f64 + t.tv_usec as f64 * 1e-6;
+    // Linux counts in KiB, macOS in bytes.
+    let unit = if cfg!(target_vendor = "apple") { 1 } else { 1024 };
+    Some(ResourceUsage {
+        peak_rss_bytes: u64::try_from(usage.ru_maxrss).ok()? * unit,
+        cpu_secs: secs(usage.ru_utime) + secs(usage.ru_stime),
+    })
+}
+
+/// Asks the operating system; `None` where it cannot tell.
+#[cfg(not(unix))]
+pub fn resource_usage() -> Option<ResourceUsage> {
+    None
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn touching_memory_raises_the_peak() {
+        let before = resource_usage().unwrap();
+        let block = std::hint::black_box(vec![1u8; 64 << 20]);
+        let sum: u64 = block.iter().step_by(4096).map(|&b| u64::from(b)).sum();
+        assert_eq!(sum, 16384);
+        let after = resource_usage().unwrap();
+        assert!(after.peak_rss_bytes >= 60 << 20);
+        assert!(after.cpu_secs >= before.cpu_secs);
+    }
+}

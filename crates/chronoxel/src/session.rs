@@ -1,0 +1,487 @@
+//! A store opened for drawing: from a view and a step to a picture.
+//!
+//! For each picture: select the nodes to draw, fetch what is not resident, draw front to back. Bricks stay resident
+//! over a budget of bytes; where the bricks of one picture exceed it, they are drawn in portions, so
+//! that a volume of any size can be drawn at full resolution.
+
+use std::{collections::HashMap, path::Path, sync::Arc, time::Instant};
+
+use anyhow::{Context, bail};
+use rayon::prelude::*;
+
+use chronoxel_codec::{Payload, decode_resident};
+use chronoxel_core::{
+    BitMask, BrickLayout, Camera, Image, Lighting, NodeId, Octree, PayloadAddress, ResidentBrick,
+    ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
+};
+use chronoxel_render::{CpuOptions, DrawBrick, DrawHow, Frame, PreparedBrick, RenderStats, Scene};
+use chronoxel_store::{Store, StoreError};
+use chronoxel_stream::{ByteLru, CacheCounts, DrawItem, How, Selector, ViewVolume};
+
+/// What a picture shows, but for the step.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// From where.
+    pub camera: Camera,
+    /// Colours and opacities, x in data units.
+    pub transfer: ResolvedTransfer,
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+    /// Distance between samples along a ray, in voxels of the smallest spacing.
+    pub step_voxels: f64,
+    /// Lighting, or none.
+    pub lighting: Option<Lighting>,
+    /// Path length that opacities refer to, world units.
+    pub opacity_unit: f64,
+    /// Finest level to draw.
+    pub level: u8,
+}
+
+/// Where the bricks of a picture came from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BrickCounts {
+    /// Not drawn: no data, transparent, or outside the picture.
+    pub skipped: usize,
+    /// Drawn as one value.
+    pub constant: usize,
+    /// Drawn from memory.
+    pub reused: usize,
+    /// Read and decoded for this picture.
+    pub new: usize,
+}
+
+impl BrickCounts {
+    /// Bricks that were drawn.
+    pub fn drawn(&self) -> usize {
+        self.constant + self.reused + self.new
+    }
+}
+
+/// A picture, and what it took.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// The volume over nothing.
+    pub image: Image,
+    /// Samples taken, transparent space left out.
+    pub samples: u64,
+    /// Bricks by what became of them.
+    pub bricks: BrickCounts,
+    /// Time to select, read and decode, in milliseconds.
+    pub fetch_ms: f64,
+    /// Time to draw, in milliseconds.
+    pub render_ms: f64,
+    /// What went wrong and was made up for: each names the brick.
+    pub warnings: Vec<String>,
+}
+
+/// What makes two resident bricks the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct BrickKey {
+    level: u8,
+    window: u32,
+    content: Content,
+    /// Where the mask lies; masks are stored with the window of their span.
+    mask: Option<PayloadAddress>,
+    lit: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Content {
+    Coded {
+        class: u8,
+        at: PayloadAddress,
+        step_in_span: u32,
+    },
+    /// A masked brick of one value, by its bits.
+    Constant(u64),
+}
+
+impl BrickKey {
+    fn new(level: u8, record: &SpanRecord, step: u32, lit: bool) -> Option<Self> {
+        let content = match record.kind {
+            SpanKind::Empty => return None,
+            SpanKind::Constant(value) => Content::Constant(value.to_bits()),
+            SpanKind::Coded { class, at } => Content::Coded { class, at, step_in_span: step - record.start },
+        };
+        Some(Self { level, window: record.window, content, mask: record.mask, lit })
+    }
+}
+
+/// The spans of one level at one step, in the order of its nodes.
+type Spans = Arc<Vec<SpanRecord>>;
+
+/// An open store, one variable of which is drawn.
+pub struct Session {
+    store: Store,
+    tree: Arc<Octree>,
+    variable: usize,
+    bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
+    spans: ByteLru<(u8, u32), Spans>,
+    portion_bytes: usize,
+}
+
+/// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
+const RESIDENT_SHARE: f64 = 0.6;
+/// Share of the memory budget that the bricks of one portion of a picture may take.
+const PORTION_SHARE: f64 = 0.25;
+/// Share for the records of spans.
+const SPANS_SHARE: f64 = 0.05;
+
+impl Session {
+    /// Opens a store to draw a variable of it, the first where none is named.
+    ///
+    /// # Errors
+    /// If the store cannot be opened, has no such variable, or has no finished step yet.
+    pub fn open(path: &Path, variable: Option<&str>, memory_bytes: u64) -> anyhow::Result<Self> {
+        let store = Store::open(path)?;
+        let variable = match variable {
+            None => 0,
+            Some(name) => store.header().variable(name).with_context(|| {
+                let names: Vec<&str> = store.header().variables.iter().map(|v| v.name.as_str()).collect();
+                format!("{}: no variable {name:?}; it has {}", path.display(), names.join(", "))
+            })?,
+        };
+        if store.header().num_steps_finished == 0 {
+            bail!("{}: no time step is finished yet; finish it with encode --resume", path.display());
+        }
+        let share = |part: f64| (memory_bytes as f64 * part) as usize;
+        Ok(Self {
+            tree: Arc::new(store.tree().clone()),
+            store,
+            variable,
+            bricks: ByteLru::new(share(RESIDENT_SHARE)),
+            spans: ByteLru::new(share(SPANS_SHARE)),
+            portion_bytes: share(PORTION_SHARE),
+        })
+    }
+
+    /// The store.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// Index of the variable that is drawn.
+    pub fn variable(&self) -> usize {
+        self.variable
+    }
+
+    /// The range of the variable over the steps that are finished.
+    pub fn variable_range(&self) -> [f64; 2] {
+        let variable = &self.store.header().variables[self.variable];
+        [variable.min.unwrap_or(0.0), variable.max.unwrap_or(0.0)]
+    }
+
+    /// A transfer function over the variable's range.
+    ///
+    /// # Errors
+    /// If a point of the function overflows.
+    pub fn resolve(&self, transfer: &TransferFunction) -> anyhow::Result<ResolvedTransfer> {
+        Ok(transfer.resolve(self.variable_range())?)
+    }
+
+    /// What the cache of bricks did so far.
+    pub fn cache_counts(&self) -> CacheCounts {
+        self.bricks.counts()
+    }
+
+    /// Bytes of payloads, masks and spans that were read so far.
+    pub fn bytes_from_disk(&self) -> u64 {
+        self.store.bytes_read()
+    }
+
+    /// Forgets what is resident, as if the store had just been opened.
+    pub fn forget(&mut self) {
+        self.bricks.clear();
+        self.spans.clear();
+    }
+
+    /// Draws a step.
+    ///
+    /// A brick whose bytes are damaged is replaced by its parent, with a warning that names it.
+    ///
+    /// # Errors
+    /// If a step is out of range, the view cannot be drawn, or damage leaves nothing to draw from.
+    pub fn draw(&mut self, view: &View, step: usize) -> anyhow::Result<Picture> {
+        let num_steps = self.store.header().num_steps_finished as usize;
+        if step >= num_steps {
+            bail!("step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
+        }
+        let step = step as u32;
+        let start = Instant::now();
+        let mut faults = Faults::default();
+        let items = self.select(view, step, &mut faults)?;
+        let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
+
+        let scene = self.scene(view);
+        let mut frame = Frame::new(&scene, CpuOptions::default())?;
+        let mut bricks = BrickCounts::default();
+        let mut rest = &items[..];
+        while !rest.is_empty() {
+            let start = Instant::now();
+            let (portion, after) = rest.split_at(self.portion_len(rest, view.lighting.is_some()));
+            rest = after;
+            let draws = self.fetch(portion, step, view.lighting.is_some(), &mut bricks, &mut faults)?;
+            fetch_ms += start.elapsed().as_secs_f64() * 1e3;
+            frame.draw(&draws)?;
+        }
+        let (image, stats) = frame.finish();
+        let RenderStats { num_samples, render_ms, .. } = stats;
+        Ok(Picture { image, samples: num_samples, bricks, fetch_ms, render_ms, warnings: faults.warnings })
+    }
+}
+
+impl Session {
+    fn scene(&self, view: &View) -> Scene {
+        let header = self.store.header();
+        Scene {
+            grid: header.grid,
+            layout: header.bricks,
+            camera: view.camera.clone(),
+            transfer: view.transfer.clone(),
+            size: view.size,
+            step_voxels: view.step_voxels,
+            lighting: view.lighting,
+            opacity_unit: view.opacity_unit,
+        }
+    }
+
+    /// The draw list of a step. Damaged records of a level make the next coarser one stand in.
+    fn select(&mut self, view: &View, step: u32, faults: &mut Faults) -> anyhow::Result<Vec<DrawItem>> {
+        let num_levels = self.store.tree().num_levels() as u8;
+        let grid = self.store.header().grid;
+        let aspect = view.size[0] as f64 / view.size[1] as f64;
+        let volume = ViewVolume::of_camera(&view.camera, aspect, &grid);
+        let mut level = view.level.min(num_levels - 1);
+        loop {
+            let tree = Arc::clone(&self.tree);
+            let layout = self.store.header().bricks;
+            let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level, view: &volume };
+            let list = selector.draw_list(
+                |node| self.record(&tree, node, step),
+                |range| view.transfer.is_transparent_over(range),
+            );
+            match list {
+                Ok(items) => return Ok(items),
+                Err(error) if level + 1 < num_levels => {
+                    faults.warn(format!("{error}; drawing level {} instead of {level}", level + 1));
+                    level += 1;
+                }
+                Err(error) => return Err(error).context("no level of the store can be drawn"),
+            }
+        }
+    }
+
+    /// The record of a node at a step.
+    fn record(&mut self, tree: &Octree, node: NodeId, step: u32) -> Result<SpanRecord, StoreError> {
+        let rank = tree.rank(node).expect("only nodes of the tree are asked for");
+        let key = (node.level, step);
+        let spans = match self.spans.get(&key) {
+            Some(spans) => spans,
+            None => {
+                let spans = Arc::new(self.store.spans(self.variable, node.level, step)?);
+                let num_bytes = spans.len() * size_of::<SpanRecord>();
+                self.spans.insert(key, Arc::clone(&spans), num_bytes);
+                spans
+            }
+        };
+        Ok(spans[rank])
+    }
+
+    /// How many of the next items fit a portion of the memory budget; at least one.
+    fn portion_len(&self, items: &[DrawItem], lit: bool) -> usize {
+        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks, lit);
+        let mut left = self.portion_bytes;
+        let fits = items.iter().take_while(|item| {
+            let need = if item.how == How::Payload { brick_bytes } else { 0 };
+            let fits = need <= left;
+            left = left.saturating_sub(need);
+            fits
+        });
+        fits.count().max(1)
+    }
+
+    /// Turns selected items into bricks to draw; what is not resident is read and decoded in parallel.
+    fn fetch(
+        &mut self,
+        items: &[DrawItem],
+        step: u32,
+        lit: bool,
+        counts: &mut BrickCounts,
+        faults: &mut Faults,
+    ) -> anyhow::Result<Vec<DrawBrick>> {
+        let tree = Arc::clone(&self.tree);
+        let mut ready: HashMap<NodeId, Arc<PreparedBrick>> = HashMap::new();
+        let mut wanted: Vec<Wanted> = Vec::new();
+        for item in items.iter().filter(|item| item.how == How::Payload) {
+            let record = self.record(&tree, item.node, step)?;
+            let Some(key) = BrickKey::new(item.node.level, &record, step, lit) else { continue };
+            match self.bricks.get(&key) {
+                Some(brick) => {
+                    counts.reused += 1;
+                    ready.insert(item.node, brick);
+                }
+                None => wanted.push(Wanted { node: item.node, record, key }),
+            }
+        }
+        for (wanted, loaded) in self.load(&wanted, step, lit) {
+            counts.new += 1;
+            let brick = match loaded {
+                Ok(brick) => brick,
+                Err(error) => {
+                    faults.warn(format!("{error}; its parent is drawn instead"));
+                    continue;
+                }
+            };
+            self.bricks.insert(wanted.key, Arc::clone(&brick), brick.num_bytes());
+            ready.insert(wanted.node, brick);
+        }
+        items
+            .iter()
+            .map(|item| {
+                let (node, how) = match item.how {
+                    How::Skip => (item.node, DrawHow::Skip),
+                    How::Constant(value) => (item.node, DrawHow::Constant(value)),
+                    How::Payload => match ready.get(&item.node) {
+                        Some(brick) => (item.node, DrawHow::Samples(Arc::clone(brick))),
+                        None => self.stand_in(&tree, item.node, step, lit, faults)?,
+                    },
+                };
+                match how {
+                    DrawHow::Skip => counts.skipped += 1,
+                    DrawHow::Constant(_) => counts.constant += 1,
+                    _ => {}
+                }
+                Ok(DrawBrick { node, region: item.region, how })
+            })
+            .collect()
+    }
+
+    /// Reads and decodes bricks: payloads of a level in as few reads as possible, decoding in parallel.
+    fn load<'a>(&mut self, wanted: &'a [Wanted], step: u32, lit: bool) -> Vec<(&'a Wanted, Loaded)> {
+        let (store, variable) = (&self.store, self.variable);
+        let mut loaded = Vec::with_capacity(wanted.len());
+        for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
+            let records: Vec<SpanRecord> = of_level.iter().map(|w| w.record).collect();
+            let payloads = store.read_payloads(variable, of_level[0].node.level, &records);
+            let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
+                (w, payload.map_err(Into::into).and_then(|p| prepare(store, variable, w, p, step, lit)))
+            });
+            loaded.par_extend(prepared);
+        }
+        loaded
+    }
+
+    /// The nearest ancestor of a damaged node that can be drawn in its place.
+    fn stand_in(
+        &mut self,
+        tree: &Octree,
+        damaged: NodeId,
+        step: u32,
+        lit: bool,
+        faults: &mut Faults,
+    ) -> anyhow::Result<(NodeId, DrawHow)> {
+        let mut node = damaged;
+        while node != tree.root() {
+            node = node.parent();
+            let Ok(record) = self.record(tree, node, step) else { continue };
+            let how = match record.kind {
+                SpanKind::Empty => return Ok((node, DrawHow::Skip)),
+                SpanKind::Constant(value) if record.mask.is_none() => DrawHow::Constant(value),
+                _ => {
+                    let Some(key) = BrickKey::new(node.level, &record, step, lit) else { continue };
+                    let wanted = Wanted { node, record, key };
+                    let loaded = match self.bricks.get(&key) {
+                        Some(brick) => Ok(brick),
+                        None => load_brick(&self.store, self.variable, &wanted, step, lit),
+                    };
+                    match loaded {
+                        Ok(brick) => {
+                            self.bricks.insert(key, Arc::clone(&brick), brick.num_bytes());
+                            DrawHow::Samples(brick)
+                        }
+                        Err(error) => {
+                            faults.warn(format!("{error}; its parent is drawn instead"));
+                            continue;
+                        }
+                    }
+                }
+            };
+            return Ok((node, how));
+        }
+        let brick = damaged.brick();
+        bail!("brick {brick:?} of level {} is damaged, and so is every node above it", damaged.level)
+    }
+}
+
+type Loaded = anyhow::Result<Arc<PreparedBrick>>;
+
+struct Wanted {
+    node: NodeId,
+    record: SpanRecord,
+    key: BrickKey,
+}
+
+fn load_brick(store: &Store, variable: usize, wanted: &Wanted, step: u32, lit: bool) -> Loaded {
+    let payload = match wanted.record.kind {
+        SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
+        _ => None,
+    };
+    prepare(store, variable, wanted, payload, step, lit)
+}
+
+/// Makes a brick ready to be drawn, from its payload or its constant value.
+fn prepare(
+    store: &Store,
+    variable: usize,
+    wanted: &Wanted,
+    payload: Option<Payload>,
+    step: u32,
+    lit: bool,
+) -> Loaded {
+    let Wanted { node, record, .. } = wanted;
+    let layout = &store.header().bricks;
+    let mask = store.read_mask(variable, node.level, record)?;
+    let resident = match (payload, record.kind) {
+        (Some(payload), _) => decode_resident(&payload, layout, step - record.start, mask)?,
+        (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
+        (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
+    };
+    Ok(Arc::new(PreparedBrick::new(resident, layout, lit)?))
+}
+
+fn constant_brick(value: f64, mask: Option<BitMask>, layout: &BrickLayout) -> ResidentBrick {
+    ResidentBrick { samples: vec![0; layout.num_full()], offset: value, scale: 0.0, mask }
+}
+
+/// Warnings of one picture; a flood of them is cut short.
+#[derive(Default)]
+struct Faults {
+    warnings: Vec<String>,
+}
+
+impl Faults {
+    const MOST: usize = 20;
+
+    fn warn(&mut self, warning: String) {
+        match self.warnings.len() {
+            n if n < Self::MOST => self.warnings.push(warning),
+            Self::MOST => self.warnings.push("more bricks are damaged; run verify to list them".into()),
+            _ => {}
+        }
+    }
+}
+
+/// A camera that shows the whole grid.
+///
+/// # Errors
+/// If an angle, the zoom or the field of view is out of range.
+pub fn orbit_camera(
+    grid: &UniformGrid,
+    angles_deg: [f64; 2],
+    zoom: f64,
+    fov_y_deg: Option<f64>,
+    size: [usize; 2],
+) -> anyhow::Result<Camera> {
+    let aspect = size[0] as f64 / size[1] as f64;
+    Ok(Camera::orbit(grid.bounds(), angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
+}
