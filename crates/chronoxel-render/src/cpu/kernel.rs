@@ -442,6 +442,9 @@ unsafe fn look<L: Lanes, const MASKED: bool>(
             Some(mask) if MASKED => L::and(in_range, unmasked::<L>(mask, places, job)),
             _ => in_range,
         };
+        if let Some(light) = &job.light {
+            L::prefetch(light.gradients.as_ptr(), &cells.offsets, job.full_edge * job.full_edge);
+        }
         let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
         Look { table_offsets: table_offsets::<L>(job, sample), cells, in_range, shown }
     }
