@@ -1,5 +1,7 @@
 //! Samples per second of the ray caster, over scenes that need no file.
 
+#![allow(missing_docs, reason = "what the macro makes has none")]
+
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 
 use chronoxel_render::render;

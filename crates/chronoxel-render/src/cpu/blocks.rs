@@ -11,6 +11,9 @@ pub(super) fn distances(mut is_visible: Vec<u8>, along_edge: usize) -> Option<Ve
     }
     let mut distances = vec![0u8; is_visible.len()];
     for _ in 0..along_edge {
+        if is_visible.iter().all(|v| *v == 1) {
+            break;
+        }
         distances.iter_mut().zip(&is_visible).for_each(|(distance, v)| *distance += 1 - v);
         for stride in [1, along_edge, along_edge * along_edge] {
             is_visible = dilated(&is_visible, stride, along_edge);

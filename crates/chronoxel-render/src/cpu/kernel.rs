@@ -400,9 +400,9 @@ unsafe fn skip_hidden<L: Lanes>(
                 return k;
             }
             let mut exit = L::splat(f32::INFINITY);
-            for a in 0..3 {
-                let ahead = L::add(block[a], distance);
-                let behind = L::add(L::sub(block[a], distance), one);
+            for (a, block) in block.into_iter().enumerate() {
+                let ahead = L::add(block, distance);
+                let behind = L::add(L::sub(block, distance), one);
                 let plane = L::mul(L::select(L::less(rays.step[a], zero), behind, ahead), edge);
                 let way = L::sub(L::add(plane, rays.origin[a]), rays.entry[a]);
                 exit = L::min(L::mul(way, rays.inverse_step[a]), exit);
@@ -442,6 +442,9 @@ unsafe fn look<L: Lanes, const MASKED: bool>(
             Some(mask) if MASKED => L::and(in_range, unmasked::<L>(mask, places, job)),
             _ => in_range,
         };
+        if let Some(light) = &job.light {
+            L::prefetch(light.gradients.as_ptr(), &cells.offsets, job.full_edge * job.full_edge);
+        }
         let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
         Look { table_offsets: table_offsets::<L>(job, sample), cells, in_range, shown }
     }

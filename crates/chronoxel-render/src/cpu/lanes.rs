@@ -63,6 +63,8 @@ pub(super) unsafe trait Lanes: Copy {
     unsafe fn row_offsets(a: Self::F) -> I8;
     /// Rows of a table of four numbers, one array per column.
     unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [Self::F; 4];
+    /// Says that gradients at `gradients + offsets` may be wanted soon.
+    unsafe fn prefetch(gradients: *const [i16; 4], offsets: &I8, plane: usize);
     /// Gradients at `gradients + offsets`, interpolated along x, then z, then y.
     unsafe fn gradients(
         gradients: *const [i16; 4],
@@ -189,6 +191,7 @@ unsafe impl Lanes for Plain {
         let rows = offsets.0.map(|o| unsafe { *table.byte_add(o as usize) });
         std::array::from_fn(|c| F8(rows.map(|r| r[c])))
     }
+    unsafe fn prefetch(_: *const [i16; 4], _: &I8, _: usize) {}
     unsafe fn gradients(
         gradients: *const [i16; 4],
         offsets: &I8,
@@ -418,6 +421,17 @@ mod avx2 {
                     _mm256_set_m128(row(6), row(2)),
                     _mm256_set_m128(row(7), row(3)),
                 ])
+            }
+        }
+        #[inline(always)]
+        unsafe fn prefetch(gradients: *const [i16; 4], offsets: &I8, plane: usize) {
+            // SAFETY: prefetching reads nothing.
+            unsafe {
+                for i in 0..8 {
+                    let at = gradients.offset(offsets.0[i] as isize);
+                    _mm_prefetch::<_MM_HINT_T0>(at.cast());
+                    _mm_prefetch::<_MM_HINT_T0>(at.wrapping_add(plane).cast());
+                }
             }
         }
         #[inline(always)]
