@@ -1,13 +1,13 @@
 //! Encoding what real sources give: a simulation that is interrupted, and files as scientists have them.
 
-mod common;
+#[path = "common/files.rs"]
+mod files;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use chronoxel_ingest::{Codec, EncodeOptions, encode, measure, sim, sources};
 use chronoxel_store::Store;
-use common::files_of;
+use files::{copy_folder, files_of};
 
 #[test]
 fn an_interrupted_simulation_is_run_again_up_to_the_step() {
@@ -32,14 +32,6 @@ fn an_interrupted_simulation_is_run_again_up_to_the_step() {
     let report = encode(&mut *again, &copy, &resumed, &mut |_| {}).unwrap();
     assert_eq!((report.steps_resumed, report.steps_read), (4, 2), "four steps share a shard");
     assert!(files_of(&copy) == files_of(&path));
-}
-
-fn copy_folder(from: &Path, to: &Path) {
-    for (name, bytes) in files_of(from) {
-        let file = to.join(name);
-        fs::create_dir_all(file.parent().unwrap()).unwrap();
-        fs::write(file, bytes).unwrap();
-    }
 }
 
 /// The folder of real data sets, if it is there.

@@ -1,6 +1,8 @@
 //! The same bytes for any threads, memory and interruptions; and what is left after an error.
 
 mod common;
+#[path = "common/files.rs"]
+mod files;
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +10,8 @@ use std::path::Path;
 use chronoxel_core::SampleType;
 use chronoxel_ingest::{Codec, EncodeError, EncodeOptions, EncodeReport, decode_step, encode};
 use chronoxel_store::Store;
-use common::{MemorySeries, files_of, noise};
+use common::{MemorySeries, noise};
+use files::{copy_folder, files_of};
 
 /// Steps with noise, ramps, holes, repetitions; more than one shard, and not a whole number of them.
 fn mixed(dims: [usize; 3], num_steps: usize) -> MemorySeries {
@@ -122,14 +125,6 @@ fn a_kill_at_any_moment_leaves_what_a_resume_completes() {
         let report = run(&mut series, &copy, &resumed()).unwrap();
         assert_eq!(report.steps_resumed, step);
         assert!(files_of(&copy) == whole, "killed in step {step}");
-    }
-}
-
-fn copy_folder(from: &Path, to: &Path) {
-    for (name, bytes) in files_of(from) {
-        let file = to.join(name);
-        fs::create_dir_all(file.parent().unwrap()).unwrap();
-        fs::write(file, bytes).unwrap();
     }
 }
 

@@ -1,7 +1,4 @@
-//! A series in memory, and ways to look at what became of it.
-
-use std::collections::BTreeMap;
-use std::path::Path;
+//! A series in memory.
 
 use chronoxel_core::{SampleType, Samples, TimeAxis, UniformGrid};
 use chronoxel_ingest::{SourceError, StepReader, TimeSeries, Variable};
@@ -108,24 +105,4 @@ pub fn noise(seed: u64) -> f64 {
     z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((z ^ z >> 31) >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// Every file under a folder, with its bytes.
-#[allow(dead_code, reason = "not every test file compares folders")]
-pub fn files_of(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in std::fs::read_dir(&next).unwrap() {
-            let path = entry.unwrap().path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(folder).unwrap().to_string_lossy().into_owned();
-                    files.insert(name, std::fs::read(&path).unwrap());
-                }
-            }
-        }
-    }
-    files
 }
