@@ -1,9 +1,9 @@
 //! The encoder: one pass over the steps of a series, each sample read once, into a store.
 //!
-//! A step streams past in slabs ([`stream`]); each level is filtered from the one below ([`pyramid`]); as soon as the
-//! slices of a layer of bricks are there, its bricks are cut ([`cut`]), analysed ([`analyse`]), padded where masked
-//! ([`pad`]), coded ([`coding`]) and handed to the store's writer. Memory and threads decide how much is done at once
-//! ([`budget`]), never what comes out.
+//! A step streams past in slabs (`stream`); each level is filtered from the one below (`pyramid`); as soon as the
+//! slices of a layer of bricks are there, its bricks are cut (`cut`), analysed (`analyse`), padded where masked
+//! (`pad`), coded (`coding`) and handed to the store's writer. Memory and threads decide how much is done at once
+//! (`budget`), never what comes out.
 
 mod analyse;
 mod budget;

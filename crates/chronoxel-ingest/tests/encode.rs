@@ -29,7 +29,11 @@ fn try_encoded(series: &mut MemorySeries, options: &EncodeOptions) -> Result<Enc
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.cxl");
     let report = encode(series, &path, options, &mut |_| {})?;
-    Ok(Encoded { store: Store::open(&path).unwrap(), _folder: folder, report })
+    let store = Store::open(&path).unwrap();
+    // Whatever is encoded must hold what the store's own checks ask for.
+    let problems = chronoxel_store::verify(&store, &|_, _| {}).problems;
+    assert!(problems.is_empty(), "{problems:?}");
+    Ok(Encoded { store, _folder: folder, report })
 }
 
 /// Decoded samples of a step next to the source's.

@@ -9,7 +9,7 @@
 use std::io::Write;
 
 use chronoxel_core::{Background, UniformGrid};
-use chronoxel_render::render;
+use chronoxel_render::{CpuOptions, render_with};
 
 #[path = "../benches/peers/mod.rs"]
 mod peers;
@@ -40,6 +40,8 @@ fn main() {
 
 fn measure(field: &Field, function: &str, domain: [f64; 2], lit: bool, folder: Option<&str>) {
     let mut scene = peers::scene(field, function, domain, lit);
+    let tile_edge = std::env::var("TURNTABLE_TILE").map_or(16, |n| n.parse().expect("an edge"));
+    let options = CpuOptions { tile_edge, ..CpuOptions::default() };
     let start = cpu_ms();
     let bricks = field.draw_list(&scene, 0, Quantise::PerBrick);
     let prepare_ms = cpu_ms() - start;
@@ -47,7 +49,7 @@ fn measure(field: &Field, function: &str, domain: [f64; 2], lit: bool, folder: O
     for k in 0..25 {
         let list = peers::turned(&mut scene, &bricks, 15.0 * f64::from(k));
         let start = cpu_ms();
-        let (image, frame) = render(&scene, &list).expect("the scene can be drawn");
+        let (image, frame) = render_with(&scene, &list, &options).expect("the scene can be drawn");
         // The first frame warms up.
         if k > 0 {
             times.push(cpu_ms() - start);

@@ -19,6 +19,19 @@ pub(super) fn distances(mut is_visible: Vec<u8>, along_edge: usize) -> Option<Ve
     Some(distances.into_iter().map(f32::from).collect())
 }
 
+/// Lowest and highest blocks that can be seen, along x, y, z.
+///
+/// * `is_visible`: as in [`distances`], at least one set
+pub(super) fn extent(is_visible: &[u8], along_edge: usize) -> [[usize; 3]; 2] {
+    let (mut low, mut high) = ([along_edge; 3], [0; 3]);
+    for (i, _) in is_visible.iter().enumerate().filter(|(_, v)| **v == 1) {
+        let place = [i % along_edge, i / along_edge % along_edge, i / (along_edge * along_edge)];
+        low = std::array::from_fn(|a| low[a].min(place[a]));
+        high = std::array::from_fn(|a| high[a].max(place[a]));
+    }
+    [low, high]
+}
+
 /// Flags set where they are, or where one of the two neighbours along an axis is.
 fn dilated(flags: &[u8], stride: usize, along_edge: usize) -> Vec<u8> {
     let mut wider = flags.to_vec();
@@ -52,6 +65,13 @@ mod tests {
                     seen.map(distance).min().unwrap_or(edge) as f32
                 })
                 .collect();
+            if is_visible.contains(&1) {
+                let [low, high] = extent(&is_visible, edge);
+                for a in 0..3 {
+                    let seen = (0..is_visible.len()).filter(|&j| is_visible[j] == 1).map(|j| place(j)[a]);
+                    assert_eq!((seen.clone().min(), seen.max()), (Some(low[a]), Some(high[a])));
+                }
+            }
             assert_eq!(distances(is_visible, edge).unwrap(), expected);
         }
         assert_eq!(distances(vec![1; 8], 2), None);

@@ -30,6 +30,19 @@ pub(super) struct Packet {
     pub transmittance: F8,
 }
 
+impl Packet {
+    /// Rays without samples.
+    pub const EMPTY: Self = Self {
+        entry: [F8([0.0; 8]); 3],
+        step: [F8([0.0; 8]); 3],
+        inverse_step: [F8([1.0; 8]); 3],
+        length: F8([0.0; 8]),
+        num_samples: F8([0.0; 8]),
+        color: [F8([0.0; 8]); 3],
+        transmittance: F8([1.0; 8]),
+    };
+}
+
 /// The box of a draw list's entry, in voxels of its level.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LevelBox {
@@ -44,7 +57,6 @@ pub(super) struct LevelBox {
 /// What the kernel needs to know of a brick.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BrickJob<'a> {
-    pub region: LevelBox,
     /// Samples, `full_edge` along each axis.
     pub samples: &'a [i16],
     pub full_edge: usize,
@@ -75,7 +87,7 @@ pub(super) struct LightJob<'a> {
 }
 
 /// Draws a brick into a packet and returns the number of samples taken.
-pub(super) type March = unsafe fn(&BrickJob, &mut Packet) -> u64;
+pub(super) type March = unsafe fn(&BrickJob, &LevelBox, &mut Packet) -> u64;
 
 /// The instructions that the kernels use on this CPU.
 pub fn kernel_name() -> &'static str {
@@ -91,11 +103,16 @@ pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
     let (lit, masked) = (job.light.is_some(), job.mask.is_some());
     #[cfg(target_arch = "x86_64")]
     if !plain && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
-        return match (lit, masked) {
-            (false, false) => march_avx2::<false, false>,
-            (false, true) => march_avx2::<false, true>,
-            (true, false) => march_avx2::<true, false>,
-            (true, true) => march_avx2::<true, true>,
+        let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl");
+        return match (lit, masked, wide) {
+            (false, false, false) => march_avx2::<false, false>,
+            (false, true, false) => march_avx2::<false, true>,
+            (true, false, false) => march_avx2::<true, false>,
+            (true, true, false) => march_avx2::<true, true>,
+            (false, false, true) => march_avx512vl::<false, false>,
+            (false, true, true) => march_avx512vl::<false, true>,
+            (true, false, true) => march_avx512vl::<true, false>,
+            (true, true, true) => march_avx512vl::<true, true>,
         };
     }
     match (lit, masked) {
@@ -120,9 +137,25 @@ pub(super) fn sample_interval(region: &LevelBox, packet: &Packet) -> [F8; 2] {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,popcnt")]
-unsafe fn march_avx2<const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
+unsafe fn march_avx2<const LIT: bool, const MASKED: bool>(
+    job: &BrickJob,
+    region: &LevelBox,
+    packet: &mut Packet,
+) -> u64 {
     // SAFETY: AVX2 was detected.
-    unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, packet) }
+    unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, region, packet) }
+}
+
+/// The same for CPUs with twice the registers.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,popcnt,avx512f,avx512vl")]
+unsafe fn march_avx512vl<const LIT: bool, const MASKED: bool>(
+    job: &BrickJob,
+    region: &LevelBox,
+    packet: &mut Packet,
+) -> u64 {
+    // SAFETY: AVX2 was detected.
+    unsafe { march::<super::lanes::Avx2, LIT, MASKED>(job, region, packet) }
 }
 
 /// First index at or behind a plane, counted along each ray: a function of the ray and the plane alone, so that
@@ -168,10 +201,10 @@ struct Rays<L: Lanes> {
 
 impl<L: Lanes> Rays<L> {
     #[inline(always)]
-    unsafe fn new(job: &BrickJob, packet: &Packet) -> Self {
+    unsafe fn new(job: &BrickJob, scale: f32, packet: &Packet) -> Self {
         // SAFETY: as the caller guarantees for L.
         unsafe {
-            let scale = L::splat(job.region.scale);
+            let scale = L::splat(scale);
             let [e, s, i] = [&packet.entry, &packet.step, &packet.inverse_step];
             Self {
                 entry: [
@@ -488,17 +521,21 @@ unsafe fn run<L: Lanes, const LIT: bool, const MASKED: bool>(
 }
 
 #[inline(always)]
-unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(job: &BrickJob, packet: &mut Packet) -> u64 {
+unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(
+    job: &BrickJob,
+    region: &LevelBox,
+    packet: &mut Packet,
+) -> u64 {
     let mut num_samples = 0;
     // SAFETY: as the caller guarantees for L.
     unsafe {
-        let [first, end] = interval::<L>(&job.region, packet);
+        let [first, end] = interval::<L>(region, packet);
         let least = L::splat(LEAST_TRANSMITTANCE);
         let transmittance = L::load(&packet.transmittance);
         if L::bits(L::and(L::less(first, end), L::less(least, transmittance))) == 0 {
             return 0;
         }
-        let rays = Rays::<L>::new(job, packet);
+        let rays = Rays::<L>::new(job, region.scale, packet);
         let [r, g, b] = &packet.color;
         let mut gathered = Gathered::<L> { color: [L::load(r), L::load(g), L::load(b)], transmittance };
         let (mut k, mut limit) = (L::add(first, L::splat(0.5)), end);

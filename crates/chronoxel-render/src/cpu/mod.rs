@@ -15,6 +15,7 @@ use std::time::Instant;
 use chronoxel_core::{Image, UniformGrid};
 use rayon::prelude::*;
 
+use crate::prepared::BLOCK_EDGE;
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
 pub use kernel::kernel_name;
@@ -67,6 +68,7 @@ pub struct Frame<'a> {
     options: CpuOptions,
     /// Red, green and blue multiplied by alpha, and transmittance, of every pixel so far.
     gathered: Image,
+    is_begun: bool,
     stats: RenderStats,
 }
 
@@ -79,7 +81,7 @@ impl<'a> Frame<'a> {
         scene.check()?;
         let mut gathered = Image::new(scene.size[0], scene.size[1])?;
         gathered.pixels.fill([0.0, 0.0, 0.0, 1.0]);
-        Ok(Self { scene, options, gathered, stats: RenderStats::default() })
+        Ok(Self { scene, options, gathered, is_begun: false, stats: RenderStats::default() })
     }
 
     /// Draws bricks behind those drawn before. Portions do not change a pixel.
@@ -104,7 +106,7 @@ impl<'a> Frame<'a> {
         let edge = self.options.tile_edge.clamp(8, 1024).next_multiple_of(8);
         let setup = RaySetup::new(self.scene);
         let tiles = bin(&jobs, self.scene.size, edge);
-        let gathered = &self.gathered;
+        let gathered = self.is_begun.then_some(&self.gathered);
         let drawn: Vec<_> = tiles
             .into_par_iter()
             .with_max_len(1)
@@ -114,6 +116,7 @@ impl<'a> Frame<'a> {
                 tile.end()
             })
             .collect();
+        self.is_begun = true;
         for block in &drawn {
             block.copy_to(&mut self.gathered);
             self.stats.num_samples += block.num_samples;
@@ -179,13 +182,12 @@ impl<'a> Job<'a> {
             return Err(RenderError::invalid("brick's region", format!("{:?}", brick.region), remedy));
         }
         let level = brick.node.level;
-        let Some(region) = level_box(&scene.grid, brick.region, level) else { return Ok(None) };
-        let Some(pixels) = pixels_of(scene, brick.region) else { return Ok(None) };
         let dt = tables.step_length * (1u64 << level) as f64;
         let constant = |color: [f64; 4]| {
             let sample = table::premultiplied(color, dt, scene.opacity_unit);
             (sample[3] > 0.0).then_some(Work::Constant(sample))
         };
+        let mut region = brick.region;
         let work = match &brick.how {
             DrawHow::Skip => None,
             DrawHow::Constant(value) => constant(scene.transfer.evaluate(*value)),
@@ -193,57 +195,85 @@ impl<'a> Job<'a> {
             DrawHow::Samples(prepared) => {
                 let table =
                     tables.of_level[usize::from(level)].as_ref().expect("made for every level sampled");
-                march_of(scene, brick, prepared, table, region, options)?
+                check_fits(scene, prepared)?;
+                visible_blocks(prepared, table).map(|visible| {
+                    region = visible_region(brick, prepared, &visible);
+                    march_of(scene, brick, prepared, table, visible, options)
+                })
             }
         };
-        Ok(work.map(|work| Self { pixels, region, work }))
+        let Some(work) = work else { return Ok(None) };
+        let (Some(level_box), Some(pixels)) =
+            (level_box(&scene.grid, region, level), pixels_of(scene, region))
+        else {
+            return Ok(None);
+        };
+        Ok(Some(Self { pixels, region: level_box, work }))
     }
 }
 
-/// The kernel's work on a brick; `None` where all of it is transparent.
-fn march_of<'a>(
-    scene: &'a Scene,
-    brick: &DrawBrick,
-    prepared: &'a PreparedBrick,
-    table: &'a Table,
-    region: LevelBox,
-    options: &CpuOptions,
-) -> Result<Option<Work<'a>>, RenderError> {
+/// Checks that a brick was prepared for the scene.
+fn check_fits(scene: &Scene, prepared: &PreparedBrick) -> Result<(), RenderError> {
     let layout = prepared.layout();
     if *layout != scene.layout {
         let remedy = "prepare bricks with the scene's layout";
         return Err(RenderError::invalid("brick's layout", format!("{layout:?}"), remedy));
     }
+    if scene.lighting.is_some() && !prepared.is_lit() {
+        let remedy = "prepare bricks as lit to draw them with lighting";
+        return Err(RenderError::invalid("brick's gradients", "missing", remedy));
+    }
+    Ok(())
+}
+
+/// One flag per block: whether it can be seen. `None` where nothing of the brick can.
+fn visible_blocks(prepared: &PreparedBrick, table: &Table) -> Option<Vec<u8>> {
     let index_from_sample = table.index_from_sample(prepared);
     if table.is_transparent_over(prepared.range, index_from_sample) {
-        return Ok(None);
+        return None;
     }
-    let light = match (&scene.lighting, &prepared.gradients) {
-        (None, _) => None,
-        (Some(lighting), Some(gradients)) => Some(LightJob {
-            lighting: *lighting,
-            gradients,
-            world_from_difference: scene.grid.spacing.map(|s| (scene.grid.smallest_spacing() / s) as f32),
-            unit_from_step: (1.0 / scene.step_voxels) as f32,
-        }),
-        (Some(_), None) => {
-            let remedy = "prepare bricks as lit to draw them with lighting";
-            return Err(RenderError::invalid("brick's gradients", "missing", remedy));
-        }
-    };
-    let visible: Vec<u8> = prepared
-        .block_ranges
-        .iter()
-        .map(|&range| u8::from(!table.is_transparent_over(range, index_from_sample)))
-        .collect();
-    let along_edge = layout.edge / crate::prepared::BLOCK_EDGE;
+    let is_visible = |range: &[i16; 2]| u8::from(!table.is_transparent_over(*range, index_from_sample));
+    let visible: Vec<u8> = prepared.block_ranges.iter().map(is_visible).collect();
+    visible.contains(&1).then_some(visible)
+}
+
+/// The part of a brick's region around the blocks that can be seen, a little larger so that rounding loses nothing.
+fn visible_region(brick: &DrawBrick, prepared: &PreparedBrick, visible: &[u8]) -> [[f64; 3]; 2] {
+    let edge = prepared.layout().edge;
+    let [first, last] = blocks::extent(visible, edge / BLOCK_EDGE);
+    let scale = (1u64 << brick.node.level) as f64;
+    let origin = brick.node.brick().map(|b| f64::from(b) * edge as f64);
+    let voxel = |a: usize, block: usize| origin[a] + (block * BLOCK_EDGE) as f64;
+    let [low, high] = brick.region;
+    [
+        std::array::from_fn(|a| low[a].max((voxel(a, first[a]) - 1.0 / 16.0) * scale)),
+        std::array::from_fn(|a| high[a].min((voxel(a, last[a] + 1) + 1.0 / 16.0) * scale)),
+    ]
+}
+
+/// The kernel's work on a brick.
+fn march_of<'a>(
+    scene: &'a Scene,
+    brick: &DrawBrick,
+    prepared: &'a PreparedBrick,
+    table: &'a Table,
+    visible: Vec<u8>,
+    options: &CpuOptions,
+) -> Work<'a> {
+    let layout = prepared.layout();
+    let light = scene.lighting.zip(prepared.gradients.as_ref()).map(|(lighting, gradients)| LightJob {
+        lighting,
+        gradients,
+        world_from_difference: scene.grid.spacing.map(|s| (scene.grid.smallest_spacing() / s) as f32),
+        unit_from_step: (1.0 / scene.step_voxels) as f32,
+    });
+    let along_edge = layout.edge / BLOCK_EDGE;
     let job = BrickJob {
-        region,
         samples: &prepared.samples,
         full_edge: layout.full_edge(),
         low_apron: layout.low,
         origin: brick.node.brick().map(|b| (f64::from(b) * layout.edge as f64) as f32),
-        index_from_sample,
+        index_from_sample: table.index_from_sample(prepared),
         table: &table.entries,
         blocks: None,
         blocks_along_edge: along_edge,
@@ -251,7 +281,7 @@ fn march_of<'a>(
         light,
     };
     let march: March = kernel::march_for(&job, options.plain);
-    Ok(Some(Work::March(march, job, blocks::distances(visible, along_edge))))
+    Work::March(march, job, blocks::distances(visible, along_edge))
 }
 
 /// A box in voxels of its level, open at the grid's faces; `None` where it lies on or beyond the far ones.

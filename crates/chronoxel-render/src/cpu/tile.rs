@@ -1,9 +1,8 @@
 //! A tile of the screen: its rays, and what they have gathered.
 
-use chronoxel_core::{Image, PictureRays, compositing::accumulate_constant};
+use chronoxel_core::{Image, PictureRays, Ray, compositing::accumulate_constant};
 
 use crate::Scene;
-use crate::scene::clip_to_box;
 
 use super::Job;
 use super::kernel::{BrickJob, LEAST_TRANSMITTANCE, March, Packet, sample_interval};
@@ -41,8 +40,9 @@ pub(super) struct PixelBlock {
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
     ///
-    /// * `gathered`: what the pixels of the picture hold so far, transmittance in place of alpha
-    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize, gathered: &Image) {
+    /// * `gathered`: what the pixels of the picture hold so far, transmittance in place of alpha, where they hold
+    ///   anything
+    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize, gathered: Option<&Image>) {
         self.corner = corner;
         self.size = std::array::from_fn(|a| edge.min(setup.scene.size[a] - corner[a]));
         self.packets_along = PACKET.map(|n| edge / n);
@@ -51,8 +51,25 @@ impl Tile {
         let along = self.packets_along;
         self.packets.extend((0..along[0] * along[1]).map(|i| {
             let first = [i % along[0] * PACKET[0], i / along[0] * PACKET[1]];
-            setup.packet([corner[0] + first[0], corner[1] + first[1]], gathered)
+            setup.packet([corner[0] + first[0], corner[1] + first[1]])
         }));
+        if let Some(gathered) = gathered {
+            self.resume(gathered);
+        }
+    }
+
+    /// Takes up what an earlier portion gathered.
+    fn resume(&mut self, gathered: &Image) {
+        let [width, height] = self.size;
+        for y in 0..height {
+            let pixels = &gathered.pixels[(self.corner[1] + y) * gathered.width + self.corner[0]..][..width];
+            let row = &mut self.packets[y / PACKET[1] * self.packets_along[0]..];
+            for (x, [r, g, b, transmittance]) in pixels.iter().copied().enumerate() {
+                let (packet, lane) = (&mut row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
+                packet.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
+                packet.transmittance.0[lane] = transmittance;
+            }
+        }
     }
 
     /// Puts a brick behind what was drawn before.
@@ -73,7 +90,7 @@ impl Tile {
                 for i in packets {
                     // SAFETY: `march_for` chose a kernel that this CPU has, and the brick's arrays have the sizes
                     // that `PreparedBrick::new` checked.
-                    self.num_samples += unsafe { march(&brick, &mut self.packets[i]) };
+                    self.num_samples += unsafe { march(&brick, &job.region, &mut self.packets[i]) };
                 }
             }
         }
@@ -126,44 +143,56 @@ impl<'a> RaySetup<'a> {
     }
 
     /// The rays of the eight pixels from `first` on.
-    fn packet(&self, first: [usize; 2], gathered: &Image) -> Packet {
-        let zero = F8::default();
-        let mut packet = Packet {
-            entry: [zero; 3],
-            step: [zero; 3],
-            inverse_step: [F8([1.0; 8]); 3],
-            length: zero,
-            num_samples: zero,
-            color: [zero; 3],
-            transmittance: F8([1.0; 8]),
-        };
-        for lane in 0..8 {
+    ///
+    /// As `clip_to_box` and the places that follow from it, in loops over lanes that the compiler can vectorise.
+    fn packet(&self, first: [usize; 2]) -> Packet {
+        let rays: [Ray; 8] = std::array::from_fn(|lane| {
             let pixel = [first[0] + lane % PACKET[0], first[1] + lane / PACKET[0]];
-            if pixel[0] < self.scene.size[0] && pixel[1] < self.scene.size[1] {
-                self.set_up(&mut packet, lane, pixel);
-                let [r, g, b, transmittance] = gathered.pixels[pixel[1] * gathered.width + pixel[0]];
-                packet.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
-                packet.transmittance.0[lane] = transmittance;
+            self.rays.ray(pixel.map(|p| p as f64 + 0.5))
+        });
+        let (mut entry, mut exit) = ([0.0f64; 8], [f64::INFINITY; 8]);
+        for a in 0..3 {
+            let (low, high) = (self.bounds[0][a], self.bounds[1][a]);
+            for lane in 0..8 {
+                let Ray { origin, direction } = &rays[lane];
+                let inverse = 1.0 / direction[a];
+                let (t0, t1) = ((low - origin[a]) * inverse, (high - origin[a]) * inverse);
+                let crossed = if t0 < t1 { [t0, t1] } else { [t1, t0] };
+                let is_between = low <= origin[a] && origin[a] <= high;
+                let parallel = [if is_between { 0.0 } else { f64::INFINITY }, f64::INFINITY];
+                let [near, far] = if direction[a] == 0.0 { parallel } else { crossed };
+                entry[lane] = if near > entry[lane] { near } else { entry[lane] };
+                exit[lane] = if far < exit[lane] { far } else { exit[lane] };
             }
         }
-        packet
-    }
-
-    fn set_up(&self, packet: &mut Packet, lane: usize, pixel: [usize; 2]) {
-        let ray = self.rays.ray(pixel.map(|p| p as f64 + 0.5));
-        let Some([entry, exit]) = clip_to_box(&ray, self.bounds) else { return };
+        let (mut packet, zero) = (Packet::EMPTY, [0.0f32; 8]);
+        let (mut length, mut rounded) = (zero, zero);
+        for lane in 0..8 {
+            let is_inside = exit[lane] > entry[lane];
+            let samples = if is_inside { (exit[lane] - entry[lane]) / self.dt } else { 0.0 };
+            entry[lane] = if is_inside { entry[lane] } else { 0.0 };
+            length[lane] = samples as f32;
+            // Not negative, so that cutting rounds.
+            rounded[lane] = (samples + 0.5) as u32 as f32;
+        }
+        (packet.length, packet.num_samples) = (F8(length), F8(rounded));
         let origin = self.scene.grid.origin;
         for a in 0..3 {
-            let place = (ray.origin[a] - origin[a] + entry * ray.direction[a]) * self.per_spacing[a];
-            let step = (ray.direction[a] * self.dt * self.per_spacing[a]) as f32;
-            packet.entry[a].0[lane] = place as f32;
-            packet.step[a].0[lane] = step;
-            packet.inverse_step[a].0[lane] = if step.abs() < 1e-30 { 1e30 } else { 1.0 / step };
+            let step_per_direction = self.dt * self.per_spacing[a];
+            let (mut places, mut steps, mut inverses) = (zero, zero, zero);
+            for lane in 0..8 {
+                let Ray { origin: from, direction } = &rays[lane];
+                places[lane] =
+                    ((from[a] - origin[a] + entry[lane] * direction[a]) * self.per_spacing[a]) as f32;
+                let step = (direction[a] * step_per_direction) as f32;
+                steps[lane] = step;
+                inverses[lane] = if step.abs() < 1e-30 { 1e30 } else { 1.0 / step };
+            }
+            packet.entry[a] = F8(places);
+            packet.step[a] = F8(steps);
+            packet.inverse_step[a] = F8(inverses);
         }
-        let length = (exit - entry) / self.dt;
-        packet.length.0[lane] = length as f32;
-        // Rounded: a length is not negative.
-        packet.num_samples.0[lane] = (length + 0.5) as u32 as f32;
+        packet
     }
 }
 
