@@ -2,7 +2,7 @@
 //! spans say is held against what is stored.
 
 use std::{
-    collections::{BTreeSet, HashSet},
+    collections::{HashMap, HashSet},
     path::Path,
 };
 
@@ -150,15 +150,15 @@ fn check_files(store: &Store, report: &mut VerifyReport, counted: &mut Counted) 
         Ok(listed) => listed,
         Err(error) => return report.add(error),
     };
-    let mut metadata: BTreeSet<String> = ["zarr.json".to_owned()].into();
+    let mut metadata: HashSet<String> = ["zarr.json".to_owned()].into();
     metadata
         .extend(header.children().unwrap_or_default().into_iter().map(|(folder, _)| folder + "/zarr.json"));
     metadata.extend((0..header.levels.len()).map(|level| nodes_file(level as u8)));
-    let data = data_files(header);
+    let folders = data_folders(header);
     for (path, len) in listed {
         let relative = relative_name(root, &path);
         let in_journal = relative.starts_with(&format!("{}/", journal::FOLDER));
-        if data.contains(&relative) {
+        if is_data_file(&folders, &relative) {
             counted.totals.data_bytes += len;
         } else if !metadata.contains(&relative) && !in_journal {
             report.add(StoreError::corrupt(
@@ -171,17 +171,28 @@ fn check_files(store: &Store, report: &mut VerifyReport, counted: &mut Counted) 
     }
 }
 
-/// Names of the files that data may lie in.
-fn data_files(header: &Header) -> HashSet<String> {
-    let mut files = HashSet::new();
+/// Folders of the arrays that hold data, each with the number of its shards.
+fn data_folders(header: &Header) -> HashMap<String, u32> {
+    let mut folders = HashMap::new();
+    let folder_of =
+        |file: String| file.rsplit_once('/').map(|(folder, _)| folder.to_owned()).unwrap_or_default();
     for (variable, level, window) in header.each_window() {
-        let arrays = header.arrays_of(variable, level, window);
-        for shard in 0..header.num_shards(window) {
-            files.insert(header.span_file(&SpanChunkId { variable, level, window, shard }));
-            files.extend(arrays.iter().map(|&array| header.shard_file(&ShardId { array, shard })));
+        let num_shards = header.num_shards(window);
+        let spans = header.span_file(&SpanChunkId { variable, level, window, shard: 0 });
+        folders.insert(folder_of(spans), num_shards);
+        for array in header.arrays_of(variable, level, window) {
+            folders.insert(folder_of(header.shard_file(&ShardId { array, shard: 0 })), num_shards);
         }
     }
-    files
+    folders
+}
+
+/// Whether a file is a shard of one of these folders: `c.{shard}.0.0`.
+fn is_data_file(folders: &HashMap<String, u32>, relative: &str) -> bool {
+    let Some((folder, name)) = relative.rsplit_once('/') else { return false };
+    let shard = name.strip_prefix("c.").and_then(|name| name.strip_suffix(".0.0"));
+    let number = shard.and_then(|digits| digits.parse::<u32>().ok().filter(|n| n.to_string() == digits));
+    number.zip(folders.get(folder)).is_some_and(|(number, num_shards)| number < *num_shards)
 }
 
 fn relative_name(root: &Path, path: &Path) -> String {

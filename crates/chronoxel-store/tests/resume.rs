@@ -156,3 +156,20 @@ fn another_description_or_a_damaged_journal_is_refused() {
     assert!(error.contains("encode it anew"), "{error}");
     check_partial(&path);
 }
+
+#[test]
+fn files_that_a_stopped_machine_lost_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let description = description([20, 13, 9], 130);
+    let path = folder.path().join("a.cxl");
+    let mut writer = StoreWriter::create(&path, &description, false).unwrap();
+    write_steps(&mut writer, &description, 0..64).unwrap();
+    drop(writer);
+    let shard = path.join("speed/L0/W1/C1/S0/c.0.0.0");
+    let bytes = std::fs::read(&shard).unwrap();
+    std::fs::write(&shard, []).unwrap();
+    let error = StoreWriter::resume(&path, &description).unwrap_err().to_string();
+    assert!(error.contains("c.0.0.0") && error.contains("machine stopped"), "{error}");
+    std::fs::write(&shard, bytes).unwrap();
+    assert_eq!(StoreWriter::resume(&path, &description).unwrap().1, 64);
+}

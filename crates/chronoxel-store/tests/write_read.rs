@@ -150,3 +150,43 @@ fn spans_that_do_not_fit_are_refused() {
     refused(|span| span.drawn_range = [1.0, 0.0], "drawn range");
     refused(|span| span.content = chronoxel_store::SpanContent::Constant(f64::NAN), "NaN");
 }
+
+#[test]
+fn the_header_keeps_every_bit_of_its_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let fills =
+        [None, Some(f64::NAN), Some(f64::INFINITY), Some(f64::NEG_INFINITY), Some(-9.969_209_968_386_869e36)];
+    for (case, fill) in fills.into_iter().enumerate() {
+        let mut description = description([9, 9, 9], 40);
+        description.grid.origin = [0.1 + 0.2, -1e-300, 1.0 / 3.0];
+        description.times.times = (0..40).map(|s| (f64::from(s) / 7.0).exp() * 1e-5).collect();
+        description.times.units = "days since \"2000\" \u{b5}".into();
+        description.variables[0].fill_value = fill;
+        let path = folder.path().join(format!("{case}.cxl"));
+        drop(StoreWriter::create(&path, &description, false).unwrap());
+        let store = Store::open(&path).unwrap();
+        let header = store.header();
+        assert_eq!(header.grid, description.grid);
+        assert_eq!(header.times, description.times);
+        assert_eq!(header.variables[0].fill_value.map(f64::to_bits), fill.map(f64::to_bits));
+        assert_eq!((header.num_steps_finished, header.encoder.clone()), (0, description.encoder));
+        assert!(!store.is_complete());
+        assert_eq!(header.raw_bytes(), 40 * 729 * (4 + 1));
+    }
+}
+
+#[test]
+fn a_thousand_steps_open_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.cxl");
+    write_store(&path, &description([9, 8, 8], 1000));
+    // The header and the nodes are read, and nothing that grows with what is stored.
+    for (name, _) in common::tree_of(&path) {
+        let text = name.to_string_lossy();
+        if !text.starts_with("nodes") && text != "zarr.json" {
+            std::fs::remove_file(path.join(&name)).unwrap();
+        }
+    }
+    let store = Store::open(&path).unwrap();
+    assert_eq!(store.header().num_steps_finished, 1000);
+}
