@@ -27,6 +27,22 @@ pub fn error(error: &anyhow::Error) {
     let _ = writeln!(std::io::stderr().lock(), "chronoxel: error: {error:#}");
 }
 
+/// A number for people: six digits, without trailing zeros.
+pub fn number(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let exponent = value.abs().log10().floor() as i32;
+    if !(-5..15).contains(&exponent) {
+        return format!("{value:.5e}");
+    }
+    let text = format!("{value:.decimals$}", decimals = (5 - exponent).max(0) as usize);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
 /// Pads the columns of a table: the first to the left, the others to the right.
 pub fn table(rows: &[Vec<String>]) -> String {
     let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
@@ -44,6 +60,12 @@ pub fn table(rows: &[Vec<String>]) -> String {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn numbers_for_people_are_short() {
+        let texts = [1.088_888_888, 0.138_000_339, 1_234_567.0, 12.0, -3e-9, 0.0].map(super::number);
+        assert_eq!(texts, ["1.08889", "0.138", "1234567", "12", "-3.00000e-9", "0"]);
+    }
+
     #[test]
     fn tables_align() {
         let rows = [vec!["a".to_owned(), "10".to_owned()], vec!["long".to_owned(), "5".to_owned()]];
