@@ -1,6 +1,6 @@
 //! Renderers: from bricks, a transfer function and a camera to a picture.
 //!
-//! [`reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
+//! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
 //! stores.
 
 pub mod cpu;

@@ -9,4 +9,4 @@ pub mod view;
 
 pub use cache::{ByteLru, CacheCounts};
 pub use select::{DrawItem, How, Selector};
-pub use view::{Eye, ViewVolume};
+pub use view::ViewVolume;

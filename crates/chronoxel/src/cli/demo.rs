@@ -45,7 +45,7 @@ struct DemoReport {
 }
 
 /// How the pictures are taken, in the words of the command line.
-const LOOK: &str = "--azimuth 25 --elevation 18 --zoom 1.5 --axes --colorbar --time-label";
+const LOOK: &str = "--elevation 18 --axes --colorbar --time-label";
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
@@ -90,10 +90,23 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     let movie_steps = format!("0:{}", steps.len() * 3 / 4);
     let look: Vec<&str> = LOOK.split(' ').collect();
     let transfer = ["--tf", path(&transfer)?];
-    let render = ["render", path(&store)?, "-o", path(&picture)?, "-t", &time_step, "--size", "1600x900"];
+    let render = [
+        "render",
+        path(&store)?,
+        "-o",
+        path(&picture)?,
+        "-t",
+        &time_step,
+        "--size",
+        "1600x900",
+        "--azimuth",
+        "25",
+        "--zoom",
+        "1.5",
+    ];
     perform(common, folder, &[&render[..], &transfer, &look].concat())?;
-    let movie_look = ["--size", movie_size, "--steps", &movie_steps, "--orbit", "40", "--fps", "12"];
-    let movie_words = ["movie", path(&store)?, "-o", path(&movie)?];
+    let movie_look = ["--size", movie_size, "--steps", &movie_steps, "--azimuth", "5", "--orbit", "35"];
+    let movie_words = ["movie", path(&store)?, "-o", path(&movie)?, "--fps", "12", "--zoom", "1.25"];
     perform(common, folder, &[&movie_words[..], &movie_look, &transfer, &look].concat())?;
     let report = DemoReport {
         store,

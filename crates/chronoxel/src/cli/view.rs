@@ -249,12 +249,12 @@ impl CameraArgs {
     /// The camera for a grid, turned further about the vertical axis.
     ///
     /// # Errors
-    /// As [`Self::camera`]; and if a camera file is to be turned.
+    /// As [`Self::camera`].
     pub fn turned(&self, grid: &UniformGrid, size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
         if let Some(path) = &self.camera {
-            anyhow::ensure!(turn_deg == 0.0, "--orbit turns the camera given by angles; leave out --camera");
             let text = read_text(path, "camera file")?;
-            return Camera::from_json(&text).with_context(|| path.display().to_string());
+            let camera = Camera::from_json(&text).with_context(|| path.display().to_string())?;
+            return Ok(camera.turned(turn_deg)?);
         }
         let fov = (!self.ortho).then_some(self.fov);
         orbit_camera(grid, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
