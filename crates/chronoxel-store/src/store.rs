@@ -470,8 +470,7 @@ pub(crate) fn read_header(root: &Path) -> Result<Header, StoreError> {
         return Err(StoreError::corrupt(root, "path", "a file", problem));
     }
     let problem = "this is not a Chronoxel store, or its making was interrupted";
-    find_header(root)?
-        .ok_or_else(|| StoreError::corrupt(&root.join("zarr.json"), "file", "absent", problem))
+    find_header(root)?.ok_or_else(|| StoreError::corrupt(&root.join("zarr.json"), "file", "absent", problem))
 }
 
 /// The header of a store, if the folder has one.
