@@ -28,6 +28,8 @@ pub struct DemoArgs {
 /// Sizes of the demo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum DemoSize {
+    /// Done within seconds; coarse.
+    Tiny,
     /// Done within a minute.
     Small,
     /// The size of published data sets; some minutes.
@@ -54,6 +56,7 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .map_err(|e| anyhow::anyhow!("{}: cannot make the folder: {e}", folder.display()))?;
     let (source, movie_size) = match args.size {
+        DemoSize::Tiny => ("sim:shockbubble?dims=48x24x24&steps=10", "320x180"),
         DemoSize::Small => ("sim:shockbubble?dims=120x48x48&steps=48", "720x405"),
         DemoSize::Full => ("sim:shockbubble?dims=240x96x96&steps=96", "1280x720"),
     };
