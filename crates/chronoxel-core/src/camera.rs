@@ -128,6 +128,23 @@ impl Camera {
         Self::new(position, centre, up, projection)
     }
 
+    /// The camera after a turn about the axis through `look_at` along `up`: to the right around what it sees, for
+    /// positive angles, as a growing azimuth.
+    ///
+    /// # Errors
+    /// [`CoreError::InvalidArgument`] if the angle is not finite.
+    pub fn turned(&self, angle_deg: f64) -> Result<Self, CoreError> {
+        let length = dot(self.up, self.up).sqrt();
+        let axis = self.up.map(|c| c / length);
+        let arm = sub(self.position, self.look_at);
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        let across = cross(axis, arm);
+        let along = dot(axis, arm) * (1.0 - cos);
+        let turned: [f64; 3] =
+            std::array::from_fn(|a| self.look_at[a] + arm[a] * cos + across[a] * sin + axis[a] * along);
+        Self::new(turned, self.look_at, self.up, self.projection)
+    }
+
     /// A camera from the text of a camera file:
     /// `{"position":[x,y,z],"look_at":[x,y,z],"up":[x,y,z],"fov_y_deg":30}`, or with `"ortho_height"` in place of the
     /// angle. `up` may be left out: y.
@@ -315,6 +332,19 @@ mod tests {
 
     fn close(a: [f64; 3], b: [f64; 3]) -> bool {
         (0..3).all(|i| (a[i] - b[i]).abs() < 1e-12)
+    }
+
+    #[test]
+    fn a_turned_camera_is_the_orbit_of_the_sum_of_the_angles() {
+        let bounds = [[1.0, 2.0, 3.0], [4.0, 4.0, 8.0]];
+        let orbit = |azimuth| Camera::orbit(bounds, azimuth, 25.0, 1.0, Some(30.0), 1.0).unwrap();
+        let upright =
+            |c: Camera| Camera::new(c.position(), c.look_at(), [0.0, 2.0, 0.0], c.projection()).unwrap();
+        let turned = upright(orbit(20.0)).turned(95.0).unwrap();
+        for (a, b) in turned.position().into_iter().zip(orbit(115.0).position()) {
+            assert!((a - b).abs() < 1e-12, "{a} {b}");
+        }
+        assert!(turned.turned(f64::NAN).is_err());
     }
 
     #[test]

@@ -170,6 +170,25 @@ fn an_existing_output_is_replaced_only_when_told_and_only_by_a_success() {
 }
 
 #[test]
+fn an_interrupted_replacement_leaves_both_and_a_resume_completes_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, kept) = (folder.path().join("s.cxl"), folder.path().join("s.partial.cxl"));
+    let mut old = MemorySeries::of([9, 9, 9], SampleType::U8, 1, |_, [x, _, _]| x as f64);
+    run(&mut old, &path, &options()).unwrap();
+    let before = files_of(&path);
+    let mut series = mixed([70, 70, 33], 3);
+    series.broken_step = Some(2);
+    let error = run(&mut series, &path, &EncodeOptions { overwrite: true, ..options() }).unwrap_err();
+    assert!(matches!(error, EncodeError::Interrupted { num_steps: 2, .. }), "{error:?}");
+    assert!(files_of(&path) == before);
+    series.broken_step = None;
+    assert_eq!(run(&mut series, &path, &resumed()).unwrap().steps_resumed, 2);
+    assert!(!kept.exists());
+    assert_eq!(Store::open(&path).unwrap().header().grid.dims, [70, 70, 33]);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
 fn a_finished_store_resumes_to_itself() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.cxl");

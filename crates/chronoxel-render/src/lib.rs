@@ -1,6 +1,6 @@
 //! Renderers: from bricks, a transfer function and a camera to a picture.
 //!
-//! [`reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
+//! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
 //! stores.
 
 pub mod cpu;
@@ -8,6 +8,7 @@ pub mod error;
 pub mod prepared;
 pub mod reference;
 pub mod scene;
+mod sweeps;
 
 pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
 pub use error::RenderError;

@@ -464,17 +464,13 @@ struct Place {
 
 /// The header of a store.
 pub(crate) fn read_header(root: &Path) -> Result<Header, StoreError> {
-    let file = root.join("zarr.json");
-    match find_header(root)? {
-        Some(header) => Ok(header),
-        None if root.is_dir() => Err(StoreError::corrupt(
-            &file,
-            "file",
-            "absent",
-            "this is not a Chronoxel store, or its making was interrupted",
-        )),
-        None => Err(StoreError::io(root, "open")(std::io::ErrorKind::NotFound.into())),
+    let metadata = std::fs::metadata(root).map_err(StoreError::io(root, "open"))?;
+    if !metadata.is_dir() {
+        let problem = "a store is a folder that ends in .cxl: make one with chronoxel encode";
+        return Err(StoreError::corrupt(root, "path", "a file", problem));
     }
+    let problem = "this is not a Chronoxel store, or its making was interrupted";
+    find_header(root)?.ok_or_else(|| StoreError::corrupt(&root.join("zarr.json"), "file", "absent", problem))
 }
 
 /// The header of a store, if the folder has one.

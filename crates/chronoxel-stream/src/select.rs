@@ -1,6 +1,6 @@
 //! Which nodes to draw, and how: the walk down the octree.
 
-use chronoxel_core::{BrickLayout, NodeId, Octree, SpanKind, SpanRecord, UniformGrid};
+use chronoxel_core::{BrickLayout, NodeId, Octree, SpanKind, SpanRecord, UniformGrid, view_order};
 
 use crate::ViewVolume;
 
@@ -56,9 +56,11 @@ impl Selector<'_> {
     ) -> Result<Vec<DrawItem>, E> {
         let mut regions = Vec::new();
         self.descend(self.tree.root(), &mut regions);
-        regions
+        let boxes: Vec<_> = regions.iter().map(|(_, region)| *region).collect();
+        view_order(&boxes, &self.view.camera, self.grid, self.layout)
             .into_iter()
-            .map(|(node, region)| {
+            .map(|i| {
+                let (node, region) = regions[i];
                 let how = if self.view.may_see(region) {
                     how_to_draw(&record(node)?, &is_transparent)
                 } else {
@@ -69,7 +71,7 @@ impl Selector<'_> {
             .collect()
     }
 
-    /// Collects the nodes to draw under `node`, front to back, with the box of each.
+    /// Collects the nodes to draw under `node`, with the box of each.
     fn descend(&self, node: NodeId, regions: &mut Vec<(NodeId, [[f64; 3]; 2])>) {
         let region = self.region_of(node);
         let children: [Option<NodeId>; 8] = std::array::from_fn(|octant| {
@@ -80,18 +82,16 @@ impl Selector<'_> {
             return;
         }
         let half = (self.layout.edge << node.level) as f64 / 2.0;
-        let mid = std::array::from_fn(|a| region[0][a] + half);
-        for octant in self.view.eye.octants_front_to_back(mid) {
-            match children[usize::from(octant)] {
-                Some(child) => self.descend(child, regions),
-                None => {
-                    let low = std::array::from_fn(|a| region[0][a] + half * f64::from(octant >> a & 1));
-                    let octant_box = self.cut([low, low.map(|v| v + half)]);
-                    if (0..3).all(|a| octant_box[0][a] < octant_box[1][a]) {
-                        regions.push((node, octant_box));
-                    }
+        for (octant, child) in children.into_iter().enumerate() {
+            let Some(child) = child else {
+                let low = std::array::from_fn(|a| region[0][a] + half * (octant >> a & 1) as f64);
+                let octant_box = self.cut([low, low.map(|v| v + half)]);
+                if (0..3).all(|a| octant_box[0][a] < octant_box[1][a]) {
+                    regions.push((node, octant_box));
                 }
-            }
+                continue;
+            };
+            self.descend(child, regions);
         }
     }
 
@@ -123,11 +123,14 @@ fn how_to_draw(record: &SpanRecord, is_transparent: impl Fn([f64; 2]) -> bool) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Eye;
-    use chronoxel_core::{SpanStatistics, octree::levels_of};
+    use chronoxel_core::{Camera, Projection, SpanStatistics, octree::levels_of};
 
     fn everything(eye: [f64; 3]) -> ViewVolume {
-        ViewVolume { eye: Eye::At(eye), planes: vec![] }
+        let projection = Projection::Perspective { fov_y_deg: 30.0 };
+        ViewVolume {
+            camera: Camera::new(eye, [0.0; 3], [0.0, 1.0, 0.0], projection).unwrap(),
+            planes: vec![],
+        }
     }
 
     fn record(kind: SpanKind, drawn_range: [f64; 2]) -> SpanRecord {
@@ -169,6 +172,30 @@ mod tests {
         let parents: Vec<_> = items.iter().filter(|i| i.node.level == 1).map(|i| i.region).collect();
         assert_eq!(parents, [[[8.0, 8.0, 0.0], [16.0, 16.0, 8.0]]]);
         assert_eq!(volume(&items), 4096.0);
+    }
+
+    #[test]
+    fn nothing_is_hidden_by_what_comes_after_it() {
+        let grid = UniformGrid::new([64, 32, 64], [0.0; 3], [1.0; 3]).unwrap();
+        let layout = BrickLayout::new(8).unwrap();
+        let tree = Octree::full(&levels_of(&grid, &layout));
+        for eye in [[-9.0, 70.0, 20.0], [33.0, 12.0, 30.0], [80.0, 15.0, -40.0]] {
+            let view = everything(eye);
+            let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level: 0, view: &view };
+            let items = selector
+                .draw_list(|_| Ok::<_, ()>(record(SpanKind::Constant(1.0), [1.0; 2])), |_| false)
+                .unwrap();
+            for (n, first) in items.iter().enumerate() {
+                for later in &items[n + 1..] {
+                    // Some plane has the later box on its far side, as seen from the eye.
+                    let apart = (0..3).any(|a| {
+                        let ([low, high], [l, h]) = (first.region, later.region);
+                        (h[a] <= low[a] && eye[a] >= h[a]) || (l[a] >= high[a] && eye[a] <= l[a])
+                    });
+                    assert!(apart, "{first:?} before {later:?}");
+                }
+            }
+        }
     }
 
     #[test]

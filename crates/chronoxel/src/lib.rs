@@ -7,6 +7,7 @@
 pub mod annotate;
 pub mod bytes;
 pub mod cli;
+pub mod interrupt;
 pub mod movie;
 pub mod process;
 pub mod progress;

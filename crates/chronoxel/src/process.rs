@@ -24,10 +24,16 @@ pub fn resource_usage() -> Option<ResourceUsage> {
     let secs = |t: libc::timeval| t.tv_sec as f64 + t.tv_usec as f64 * 1e-6;
     // Linux counts in KiB, macOS in bytes.
     let unit = if cfg!(target_vendor = "apple") { 1 } else { 1024 };
-    Some(ResourceUsage {
-        peak_rss_bytes: u64::try_from(usage.ru_maxrss).ok()? * unit,
-        cpu_secs: secs(usage.ru_utime) + secs(usage.ru_stime),
-    })
+    let peak_rss_bytes = peak_of_this_program().or(u64::try_from(usage.ru_maxrss).ok().map(|n| n * unit))?;
+    Some(ResourceUsage { peak_rss_bytes, cpu_secs: secs(usage.ru_utime) + secs(usage.ru_stime) })
+}
+
+/// The peak that Linux tells of the program alone: `getrusage` counts what the process that started it had.
+#[cfg(unix)]
+fn peak_of_this_program() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
 /// Asks the operating system; `None` where it cannot tell.

@@ -50,14 +50,16 @@ impl Output {
         stem: &str,
         description: &StoreDescription,
     ) -> Result<(Self, StoreWriter), EncodeError> {
-        let mut replaced = None;
+        // A replacement that was killed: the store it replaces still lies aside.
+        let aside = aside_of(path, stem);
+        let mut replaced = (exists(&aside) && check_is_store(&aside).is_ok()).then_some(aside);
         // A store killed while it was created has no header yet: the writer starts it again.
         if exists(&found.join("zarr.json")) {
             let store = Store::open(found)?;
             resume::compare(&store, description)?;
         }
         if found != path {
-            replaced = set_aside(path, stem)?;
+            replaced = set_aside(path, stem)?.or(replaced);
             rename(found, path)?;
         }
         let output = Self { path: path.to_owned(), replaced };
@@ -132,13 +134,18 @@ fn exists(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok()
 }
 
+/// Where a store lies that is being replaced.
+fn aside_of(path: &Path, stem: &str) -> PathBuf {
+    path.with_file_name(format!(".{stem}.replaced.cxl"))
+}
+
 /// Renames a store that is in the way, so that it can come back after an error.
 fn set_aside(path: &Path, stem: &str) -> Result<Option<PathBuf>, EncodeError> {
     if !exists(path) {
         return Ok(None);
     }
     check_is_store(path)?;
-    let aside = path.with_file_name(format!(".{stem}.replaced.cxl"));
+    let aside = aside_of(path, stem);
     if exists(&aside) {
         remove(&aside)?;
     }

@@ -92,19 +92,28 @@ pub(super) type March = unsafe fn(&BrickJob, &LevelBox, &mut Packet) -> u64;
 /// The instructions that the kernels use on this CPU.
 pub fn kernel_name() -> &'static str {
     #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        return "AVX2";
+    if has_avx2() {
+        return if has_avx512vl() { "AVX2 with the registers of AVX-512VL" } else { "AVX2" };
     }
     "plain Rust"
+}
+
+#[cfg(target_arch = "x86_64")]
+fn has_avx2() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt")
+}
+
+#[cfg(target_arch = "x86_64")]
+fn has_avx512vl() -> bool {
+    is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl")
 }
 
 /// The kernel for a brick: the fastest that this CPU has, or the plain one.
 pub(super) fn march_for(job: &BrickJob, plain: bool) -> March {
     let (lit, masked) = (job.light.is_some(), job.mask.is_some());
     #[cfg(target_arch = "x86_64")]
-    if !plain && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
-        let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl");
-        return match (lit, masked, wide) {
+    if !plain && has_avx2() {
+        return match (lit, masked, has_avx512vl()) {
             (false, false, false) => march_avx2::<false, false>,
             (false, true, false) => march_avx2::<false, true>,
             (true, false, false) => march_avx2::<true, false>,

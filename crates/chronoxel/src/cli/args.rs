@@ -210,6 +210,11 @@ pub fn parse_triple(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
+/// A time step.
+pub fn parse_step(text: &str) -> Result<usize, String> {
+    text.parse().map_err(|_| format!("{text:?} is not a time step; steps are whole numbers from 0"))
+}
+
 fn parse_dims(text: &str) -> Result<[usize; 3], String> {
     let numbers: Vec<usize> =
         text.split(['x', 'X', ',']).filter_map(|part| part.trim().parse().ok()).collect();

@@ -28,6 +28,8 @@ pub struct DemoArgs {
 /// Sizes of the demo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum DemoSize {
+    /// Done within seconds; coarse.
+    Tiny,
     /// Done within a minute.
     Small,
     /// The size of published data sets; some minutes.
@@ -45,7 +47,7 @@ struct DemoReport {
 }
 
 /// How the pictures are taken, in the words of the command line.
-const LOOK: &str = "--azimuth 25 --elevation 18 --zoom 1.5 --axes --colorbar --time-label";
+const LOOK: &str = "--elevation 18 --axes --colorbar --time-label";
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
@@ -54,6 +56,7 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .map_err(|e| anyhow::anyhow!("{}: cannot make the folder: {e}", folder.display()))?;
     let (source, movie_size) = match args.size {
+        DemoSize::Tiny => ("sim:shockbubble?dims=48x24x24&steps=10", "320x180"),
         DemoSize::Small => ("sim:shockbubble?dims=120x48x48&steps=48", "720x405"),
         DemoSize::Full => ("sim:shockbubble?dims=240x96x96&steps=96", "1280x720"),
     };
@@ -90,10 +93,23 @@ pub fn run(common: &Common, args: &DemoArgs) -> anyhow::Result<()> {
     let movie_steps = format!("0:{}", steps.len() * 3 / 4);
     let look: Vec<&str> = LOOK.split(' ').collect();
     let transfer = ["--tf", path(&transfer)?];
-    let render = ["render", path(&store)?, "-o", path(&picture)?, "-t", &time_step, "--size", "1600x900"];
+    let render = [
+        "render",
+        path(&store)?,
+        "-o",
+        path(&picture)?,
+        "-t",
+        &time_step,
+        "--size",
+        "1600x900",
+        "--azimuth",
+        "25",
+        "--zoom",
+        "1.5",
+    ];
     perform(common, folder, &[&render[..], &transfer, &look].concat())?;
-    let movie_look = ["--size", movie_size, "--steps", &movie_steps, "--orbit", "40", "--fps", "12"];
-    let movie_words = ["movie", path(&store)?, "-o", path(&movie)?];
+    let movie_look = ["--size", movie_size, "--steps", &movie_steps, "--azimuth", "5", "--orbit", "35"];
+    let movie_words = ["movie", path(&store)?, "-o", path(&movie)?, "--fps", "12", "--zoom", "1.25"];
     perform(common, folder, &[&movie_words[..], &movie_look, &transfer, &look].concat())?;
     let report = DemoReport {
         store,

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     bytes::ByteSize,
+    interrupt::Advice,
     process::resource_usage,
     progress::{Counted, Progress},
 };
@@ -44,7 +45,7 @@ pub struct EncodeArgs {
     #[arg(long, value_name = "B", value_parser = parse_bits, conflicts_with = "max_error")]
     bits: Option<u8>,
     /// Samples along the edge of a brick's core: 8, 16, 32, 64 or 128
-    #[arg(long, value_name = "N", default_value_t = 32)]
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = parse_brick)]
     brick: usize,
     /// Range of values that --max-error refers to [default: the range seen so far]
     #[arg(long, value_name = "MIN:MAX", value_parser = parse_range, allow_hyphen_values = true)]
@@ -71,6 +72,13 @@ fn parse_bits(text: &str) -> Result<u8, String> {
         "8" => Ok(8),
         "16" => Ok(16),
         _ => Err(format!("{text:?} bits are not available; use 8 or 16")),
+    }
+}
+
+fn parse_brick(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(edge @ (8 | 16 | 32 | 64 | 128)) => Ok(edge),
+        _ => Err(format!("{text:?} samples are not an edge of bricks; use 8, 16, 32, 64 or 128")),
     }
 }
 
@@ -133,6 +141,10 @@ pub fn encode_series(
     options: &EncodeOptions,
 ) -> anyhow::Result<EncodeSummary> {
     let num_samples = series.grid().num_samples() as u64 * series.times().num_steps() as u64;
+    let _advice = Advice::begin(format!(
+        "{} opens up to the last finished step; encode again with --resume to go on",
+        store.display()
+    ));
     let mut bar: Option<Progress> = None;
     let report = encode(series, store, options, &mut |done| {
         let bar = bar.get_or_insert_with(|| {

@@ -16,7 +16,10 @@ use super::{
     args::{Common, StepRange},
     output,
 };
-use crate::progress::{Counted, Progress};
+use crate::{
+    interrupt::{self, CleanUp},
+    progress::{Counted, Progress},
+};
 
 /// Write decoded steps as .vti, .pvd, .npy, .nrrd or Zarr
 #[derive(Debug, Args)]
@@ -31,7 +34,7 @@ pub struct ExportArgs {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Steps to write, as 0:100:2 [default: all]
-    #[arg(long, value_name = "A:B[:S]")]
+    #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Variable to write [default: the first]
     #[arg(long, value_name = "NAME")]
@@ -66,10 +69,12 @@ pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
         sample_type: variable.sample_type,
         fill_value: variable.fill_value,
     };
+    let _clean_up = CleanUp::begin();
     let mut writer = export::create(&args.output, &description)?;
     let bar =
         Progress::new("export", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
     for (number, &step) in steps.iter().enumerate() {
+        interrupt::check()?;
         writer.write_step(number, &decode_step(&store, index, step)?)?;
         bar.advance(1);
     }

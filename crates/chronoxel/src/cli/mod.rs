@@ -21,6 +21,8 @@ use clap::{Parser, Subcommand};
 
 use args::Common;
 
+use crate::interrupt;
+
 /// Explore time-varying volumes too large for memory: encode once, then look at any time step.
 #[derive(Debug, Parser)]
 #[command(name = "chronoxel", version, propagate_version = true, arg_required_else_help = true)]
@@ -49,11 +51,13 @@ enum Verb {
     Compare(compare::CompareArgs),
 }
 
-/// Runs the command line of this process. Exit status: 0 done, 1 it failed, 2 wrong usage.
+/// Runs the command line of this process. Exit status: 0 done, 1 it failed, 2 wrong usage, 130 interrupted.
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
+    interrupt::install();
     match dispatch(&cli) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(_) if interrupt::told() => ExitCode::from(interrupt::EXIT_STATUS),
         Err(error) => {
             output::error(&error);
             ExitCode::FAILURE

@@ -6,11 +6,12 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    args::{Common, StepRange},
+    args::{Common, StepRange, parse_finite},
     output,
     view::{ViewArgs, parse_fps},
 };
 use crate::{
+    interrupt,
     movie::{self, Frame, MovieOptions},
     progress::{Counted, Progress},
     session::Session,
@@ -30,7 +31,7 @@ pub struct MovieArgs {
     #[arg(short, long, value_name = "OUT")]
     output: String,
     /// Steps to show, as 0:100:2 [default: all]
-    #[arg(long, value_name = "A:B[:S]")]
+    #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Number of pictures, the steps being shown evenly over them [default: one per step]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -39,7 +40,7 @@ pub struct MovieArgs {
     #[arg(long, value_name = "FPS", default_value_t = 15.0, value_parser = parse_fps)]
     fps: f64,
     /// Turn about the vertical axis over the whole movie, in degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = parse_finite)]
     orbit: f64,
     #[command(flatten)]
     view: ViewArgs,
@@ -93,6 +94,7 @@ impl MovieArgs {
             Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
         let mut warnings = Vec::new();
         for frame in 0..num_frames {
+            interrupt::check()?;
             let step = steps[frame * steps.len() / num_frames];
             let time = header.times.times[step];
             if self.orbit != 0.0 {

@@ -24,7 +24,36 @@ pub fn warning(text: &str) {
 
 /// Prints an error and its causes on one line of stderr.
 pub fn error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr().lock(), "chronoxel: error: {error:#}");
+    let _ = writeln!(std::io::stderr().lock(), "chronoxel: error: {}", on_one_line(error));
+}
+
+/// An error and its causes; what a message says of its cause itself is not said twice.
+fn on_one_line(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        match text.as_str() {
+            "" => text = cause,
+            said if said.contains(&cause) => {}
+            _ => text = format!("{text}: {cause}"),
+        }
+    }
+    text.replace(char::is_control, " ")
+}
+
+/// A number for people: six digits, without trailing zeros.
+pub fn number(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let exponent = value.abs().log10().floor() as i32;
+    if !(-5..15).contains(&exponent) {
+        return format!("{value:.5e}");
+    }
+    let text = format!("{value:.decimals$}", decimals = (5 - exponent).max(0) as usize);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
 }
 
 /// Pads the columns of a table: the first to the left, the others to the right.
@@ -44,6 +73,23 @@ pub fn table(rows: &[Vec<String>]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use anyhow::Context;
+
+    #[test]
+    fn causes_are_told_once_and_on_one_line() {
+        let cause = || std::io::Error::other("no\ndisk");
+        let error = anyhow::Error::new(cause()).context("a.png: cannot write");
+        assert_eq!(super::on_one_line(&error), "a.png: cannot write: no disk");
+        let error = Err::<(), _>(cause()).with_context(|| format!("cannot open: {}", cause())).unwrap_err();
+        assert_eq!(super::on_one_line(&error), "cannot open: no disk");
+    }
+
+    #[test]
+    fn numbers_for_people_are_short() {
+        let texts = [1.088_888_888, 0.138_000_339, 1_234_567.0, 12.0, -3e-9, 0.0].map(super::number);
+        assert_eq!(texts, ["1.08889", "0.138", "1234567", "12", "-3.00000e-9", "0"]);
+    }
+
     #[test]
     fn tables_align() {
         let rows = [vec!["a".to_owned(), "10".to_owned()], vec!["long".to_owned(), "5".to_owned()]];

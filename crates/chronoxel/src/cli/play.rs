@@ -9,7 +9,7 @@ use serde::Serialize;
 use chronoxel_core::{Camera, Projection, UniformGrid};
 
 use super::{
-    args::{Common, StepRange},
+    args::{Common, StepRange, parse_finite},
     output,
     view::{Switch, ViewArgs},
 };
@@ -29,13 +29,13 @@ pub struct PlayArgs {
     /// The store
     store: PathBuf,
     /// Steps to play, as 0:100:2 [default: all]
-    #[arg(long, value_name = "A:B[:S]")]
+    #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Number of frames; steps start over when they run out [default: one per step]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: Option<u32>,
     /// Turn about the vertical axis over all frames, in degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = parse_finite)]
     orbit: f64,
     /// Play backwards
     #[arg(long)]

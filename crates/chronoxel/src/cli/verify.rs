@@ -27,7 +27,7 @@ pub struct VerifyArgs {
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     against: Vec<String>,
     /// Steps to measure against the source, as 0:100:2 [default: all]
-    #[arg(long, value_name = "A:B[:S]", requires = "against")]
+    #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true, requires = "against")]
     steps: Option<StepRange>,
     #[command(flatten)]
     hints: SourceHints,

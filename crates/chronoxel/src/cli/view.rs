@@ -6,7 +6,7 @@ use anyhow::Context;
 use chronoxel_core::{Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid};
 use clap::{Args, ValueEnum};
 
-use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive};
+use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive, parse_step};
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
     session::{Picture, Session, View, orbit_camera},
@@ -26,7 +26,7 @@ pub struct ViewArgs {
     #[command(flatten)]
     pub transfer: TransferArgs,
     /// Distance between samples along a ray, in voxels
-    #[arg(long, value_name = "VOXELS", default_value_t = 0.5, value_parser = parse_positive)]
+    #[arg(long, value_name = "VOXELS", default_value_t = 0.5, allow_hyphen_values = true, value_parser = parse_step_length)]
     pub step: f64,
     /// Ambient, diffuse and specular lighting
     #[arg(long, value_name = "SWITCH", default_value = "on")]
@@ -70,7 +70,7 @@ pub struct CameraArgs {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = parse_positive)]
     pub zoom: f64,
     /// Vertical field of view, in degrees
-    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_positive)]
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, allow_hyphen_values = true, value_parser = parse_fov)]
     pub fov: f64,
     /// Orthographic instead of perspective
     #[arg(long, conflicts_with = "fov")]
@@ -84,8 +84,8 @@ pub struct TransferArgs {
     #[arg(long, value_name = "NAME|FILE", default_value = "ramp")]
     pub tf: String,
     /// Colour map of the built-in functions: viridis, inferno, turbo, coolwarm, gray [default: viridis]
-    #[arg(long, value_name = "NAME")]
-    pub colormap: Option<String>,
+    #[arg(long, value_name = "NAME", value_parser = parse_color_map)]
+    pub colormap: Option<ColorMap>,
     /// Path length, in world units, that opacities refer to [default: the smallest spacing]
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
     pub opacity_unit: Option<f64>,
@@ -95,7 +95,7 @@ pub struct TransferArgs {
 #[derive(Debug, Clone, Args)]
 pub struct StepArgs {
     /// Time step, from 0 [default: the first]
-    #[arg(short = 't', long, value_name = "STEP", conflicts_with = "time")]
+    #[arg(short = 't', long, value_name = "STEP", conflicts_with = "time", allow_hyphen_values = true, value_parser = parse_step)]
     pub time_step: Option<usize>,
     /// Time, in the source's units; the nearest step is drawn
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse_finite)]
@@ -171,7 +171,8 @@ impl ViewArgs {
         let num_levels = session.store().tree().num_levels();
         anyhow::ensure!(
             usize::from(self.level) < num_levels,
-            "--level is {}: the store has levels 0 to {}",
+            "{}: --level is {}: the store has levels 0 to {}",
+            session.store().path().display(),
             self.level,
             num_levels - 1
         );
@@ -248,12 +249,12 @@ impl CameraArgs {
     /// The camera for a grid, turned further about the vertical axis.
     ///
     /// # Errors
-    /// As [`Self::camera`]; and if a camera file is to be turned.
+    /// As [`Self::camera`].
     pub fn turned(&self, grid: &UniformGrid, size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
         if let Some(path) = &self.camera {
-            anyhow::ensure!(turn_deg == 0.0, "--orbit turns the camera given by angles; leave out --camera");
             let text = read_text(path, "camera file")?;
-            return Camera::from_json(&text).with_context(|| path.display().to_string());
+            let camera = Camera::from_json(&text).with_context(|| path.display().to_string())?;
+            return Ok(camera.turned(turn_deg)?);
         }
         let fov = (!self.ortho).then_some(self.fov);
         orbit_camera(grid, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
@@ -268,8 +269,7 @@ impl TransferArgs {
     /// file has its own colours.
     pub fn function(&self) -> anyhow::Result<TransferFunction> {
         if TransferFunction::BUILT_IN.contains(&self.tf.as_str()) {
-            let map: ColorMap = self.colormap.as_deref().unwrap_or("viridis").parse()?;
-            return Ok(TransferFunction::built_in(&self.tf, map)?);
+            return Ok(TransferFunction::built_in(&self.tf, self.colormap.unwrap_or(ColorMap::Viridis))?);
         }
         let path = Path::new(&self.tf);
         anyhow::ensure!(
@@ -302,7 +302,8 @@ impl StepArgs {
         let step = self.time_step.unwrap_or(0);
         anyhow::ensure!(
             step < num_steps,
-            "step {step} is not in the store: its steps are 0 to {}",
+            "{}: step {step} is not in the store: its steps are 0 to {}",
+            session.store().path().display(),
             num_steps - 1
         );
         Ok(step)
@@ -330,6 +331,26 @@ fn read_text(path: &Path, what: &str) -> anyhow::Result<String> {
         path.display()
     );
     std::fs::read_to_string(path).with_context(failed)
+}
+
+/// A distance between samples, in voxels.
+fn parse_step_length(text: &str) -> Result<f64, String> {
+    match parse_finite(text)? {
+        step @ 0.01..=2.0 => Ok(step),
+        step => Err(format!("{step} voxels are outside 0.01 to 2")),
+    }
+}
+
+/// A vertical field of view.
+fn parse_fov(text: &str) -> Result<f64, String> {
+    match parse_finite(text)? {
+        fov @ 0.001..=179.0 => Ok(fov),
+        fov => Err(format!("{fov} degrees are outside 0.001 to 179")),
+    }
+}
+
+fn parse_color_map(text: &str) -> Result<ColorMap, String> {
+    text.parse().map_err(|error: chronoxel_core::CoreError| error.to_string())
 }
 
 /// A number of frames per second.

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use crate::interrupt::CleanUp;
+
 /// A file that is written beside its target under a temporary name. [`Self::publish`] renames it;
 /// dropped before that, it is removed, with the folders that were made for it.
 #[derive(Debug)]
@@ -15,6 +17,8 @@ pub(super) struct PendingFile {
     /// Folders that did not exist before, outermost first.
     made_folders: Vec<PathBuf>,
     published: bool,
+    /// Until the file has its name or is gone, Ctrl-C waits.
+    _clean_up: CleanUp,
 }
 
 impl PendingFile {
@@ -34,6 +38,7 @@ impl PendingFile {
             target: target.to_owned(),
             made_folders: Vec::new(),
             published: false,
+            _clean_up: CleanUp::begin(),
         };
         pending.make_folders()?;
         Ok(pending)

@@ -1,0 +1,15 @@
+//! The command line, tested as a user runs it: the built binary, files in, files out, exit status and messages.
+
+mod bad_input;
+mod bad_stores;
+mod command;
+mod damage;
+mod encode;
+mod files;
+mod fixture_v1;
+mod interruption;
+mod long_series;
+mod memory;
+mod movies;
+mod pictures;
+mod usage;
