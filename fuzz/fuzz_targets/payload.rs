@@ -2,8 +2,8 @@
 #![no_main]
 
 use chronoxel_codec::{
-    Payload, PayloadClass, StageClass, TableClass, decode_f64, decode_resident, decoded_range, stage_from_bytes,
-    stage_to_bytes,
+    Payload, PayloadClass, StageClass, TableClass, decode_f64, decode_resident, decoded_range,
+    stage_from_bytes, stage_to_bytes,
 };
 use chronoxel_core::BrickLayout;
 use libfuzzer_sys::fuzz_target;

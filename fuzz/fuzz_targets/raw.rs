@@ -27,7 +27,8 @@ fuzz_target!(|input: ([u64; 3], u8, bool, u64, [f64; 3], [f64; 3], Option<f64>, 
     // The same with a header of what the samples leave over, so that the length is right.
     let product = dims.iter().try_fold(1u64, |product, &n| product.checked_mul(n));
     let num_bytes = options.sample_type.map_or(1, |t| t.num_bytes() as u64);
-    let rest = product.and_then(|n| n.checked_mul(num_bytes)).and_then(|n| (bytes.len() as u64).checked_sub(n));
+    let rest =
+        product.and_then(|n| n.checked_mul(num_bytes)).and_then(|n| (bytes.len() as u64).checked_sub(n));
     if let Some(header_bytes) = rest {
         read_source(&scratch_raw(), &SourceOptions { header_bytes, spacing: None, origin: None, ..options });
     }

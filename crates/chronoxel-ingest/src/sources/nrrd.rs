@@ -124,6 +124,14 @@ fn variables(
     if fourth_axis != FourthAxis::Components {
         return Ok(vec![variable(String::new())]);
     }
+    if num_components == 0 {
+        return Err(SourceError::corrupt(
+            &fields.path,
+            "sizes[0]",
+            0,
+            "there must be at least one component",
+        ));
+    }
     if num_components > MAX_COMPONENTS {
         let remedy = format!("at most {MAX_COMPONENTS} components are");
         return Err(SourceError::unsupported(&fields.path, "sizes[0]", num_components, remedy));
@@ -131,16 +139,20 @@ fn variables(
     Ok((0..num_components).map(|c| variable(format!("_{c}"))).collect())
 }
 
-/// Times from the spacing and the start of the time axis, and its units.
+/// Times, from a list of them or from the spacing and the start of the time axis, and their units.
 fn times(
     fields: &Fields,
     sizes: &[usize],
     time_axis: Option<usize>,
     num_steps: usize,
 ) -> Result<(FileTimes, String), SourceError> {
-    let Some(axis) = time_axis else { return Ok((FileTimes::Unknown, String::new())) };
+    let listed = fields.listed_times(num_steps).map(FileTimes::Known);
+    let Some(axis) = time_axis else { return Ok((listed.unwrap_or(FileTimes::Unknown), String::new())) };
     let units = fields.words("units").get(axis).filter(|u| *u != "???").cloned().unwrap_or_default();
     let number = |field| Ok(fields.per_axis(field, sizes.len())?.map_or(f64::NAN, |numbers| numbers[axis]));
+    if let Some(times) = listed {
+        return Ok((times, units));
+    }
     let (dt, start) = (number("spacings")?, number("axis mins")?);
     let times = match (dt.is_nan(), start.is_nan()) {
         (true, _) => FileTimes::Unknown,

@@ -9,6 +9,9 @@ use chronoxel_core::SampleType;
 use super::volume_file::open_regular;
 use crate::SourceError;
 
+/// The key under which our own export lists times.
+const TIMES_KEY: &str = "times";
+
 /// The longest header that is read.
 const MAX_HEADER_BYTES: u64 = 4 << 20;
 
@@ -67,7 +70,10 @@ impl Fields {
         let Some((name, value)) = line.split_once(':') else {
             return Err(SourceError::corrupt(&self.path, "header line", line, "it must read field: value"));
         };
-        if value.starts_with('=') {
+        if let Some(value) = value.strip_prefix('=') {
+            if name == TIMES_KEY {
+                self.values.insert(format!("{TIMES_KEY}:="), value.trim().to_owned());
+            }
             return Ok(());
         }
         let name = match name.trim().to_lowercase().as_str() {
@@ -84,6 +90,15 @@ impl Fields {
         }
         self.values.insert(name, value.trim().to_owned());
         Ok(())
+    }
+
+    /// The times that the key `times` lists, where they are one increasing number for each step. The key is not of the
+    /// format: it is what our own export says of steps at uneven times, for which there is no field.
+    pub fn listed_times(&self, num_steps: usize) -> Option<Vec<f64>> {
+        let text = self.get("times:=")?;
+        let times: Vec<f64> = text.split_whitespace().map(|t| t.parse().ok()).collect::<Option<_>>()?;
+        let is_sound = times.iter().all(|t| t.is_finite()) && times.is_sorted_by(|a, b| a < b);
+        (is_sound && times.len() == num_steps).then_some(times)
     }
 
     /// The text of a field.
@@ -114,9 +129,6 @@ impl Fields {
             .collect::<Result<_, _>>()?;
         if dimension.parse() != Ok(sizes.len()) {
             return Err(wrong(&format!("there must be as many as the dimension, {dimension}")));
-        }
-        if sizes.contains(&0) {
-            return Err(wrong("every axis must have at least one sample"));
         }
         Ok(sizes)
     }
