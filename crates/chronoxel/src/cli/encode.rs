@@ -17,7 +17,7 @@ use super::{
 use crate::{
     bytes::ByteSize,
     interrupt::Advice,
-    process::resource_usage,
+    process::{resource_usage, return_large_blocks},
     progress::{Counted, Progress},
 };
 
@@ -133,6 +133,9 @@ pub fn options_of(common: &Common) -> EncodeOptions {
     EncodeOptions { memory_bytes: common.memory.0, ..EncodeOptions::default() }
 }
 
+/// Below this, what the allocator keeps matters.
+const TIGHT_MEMORY: ByteSize = ByteSize(1 << 30);
+
 /// Encodes behind a progress bar.
 pub fn encode_series(
     common: &Common,
@@ -141,6 +144,9 @@ pub fn encode_series(
     options: &EncodeOptions,
 ) -> anyhow::Result<EncodeSummary> {
     let num_samples = series.grid().num_samples() as u64 * series.times().num_steps() as u64;
+    if common.memory < TIGHT_MEMORY {
+        return_large_blocks();
+    }
     let _advice = Advice::begin(format!(
         "{} opens up to the last finished step; encode again with --resume to go on",
         store.display()

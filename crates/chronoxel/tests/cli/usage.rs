@@ -58,9 +58,9 @@ fn wrong_usage_has_status_2_and_says_what_would_be_right() {
         ("demo --size huge", "possible values"),
     ] {
         let ran = run(folder.path(), line);
-        assert_eq!(ran.status, 2, "{ran:#?}");
-        assert_eq!(ran.stdout, "", "{ran:#?}");
-        assert!(ran.stderr.contains(says), "no {says:?} in {ran:#?}");
+        assert_eq!(ran.status, 2, "{line}: {ran:#?}");
+        assert_eq!(ran.stdout, "", "{line}: {ran:#?}");
+        assert!(ran.stderr.contains(says), "no {says:?} in {line}: {ran:#?}");
     }
     assert!(crate::files::names_in(folder.path()).is_empty());
 }
