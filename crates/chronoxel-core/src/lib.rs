@@ -2,6 +2,7 @@
 //! resident brick is. Everything here is pure: no files, no threads, no GPU.
 
 pub mod brick;
+pub mod cache;
 pub mod camera;
 pub mod color;
 pub mod colormap;
@@ -22,6 +23,7 @@ mod transfer_json;
 pub mod visibility;
 
 pub use brick::{BitMask, BrickLayout, ResidentBrick};
+pub use cache::{ByteLru, CacheCounts};
 pub use camera::{Camera, PictureRays, Projection, Ray};
 pub use colormap::ColorMap;
 pub use compare::{ImageDifference, compare, difference_picture};

@@ -1,7 +1,7 @@
 //! Transfer functions from files: our JSON, and the presets that ParaView exports.
 //!
 //! Ours is `{"points":[{"x":0.0,"color":[r,g,b],"opacity":a},…]}` with `"domain"` absent (x in data units),
-//! `[min, max]`, or `"variable"`. Where no point has an opacity, it rises linearly from 0 at the first to
+//! `[min, max]`, or `"variable"`, over which x runs from 0 to 1. Where no point has an opacity, it rises linearly from 0 at the first to
 //! 0.05 at the last, as in the built-in `ramp`.
 //!
 //! A preset is a list of objects, of which the first with `RGBPoints` `[x, r, g, b, …]` is taken; its
@@ -52,6 +52,12 @@ fn from_points(object: &Map<String, Value>) -> Result<TransferFunction, CoreErro
     let list = list.as_array().ok_or_else(|| wrong("transfer function's points", list, "give a list"))?;
     let domain = domain_of(object.get("domain"))?;
     let mut points = list.iter().map(point_of).collect::<Result<Vec<_>, _>>()?;
+    // Data units beside a domain would put all of the function far outside the data: an empty picture.
+    let outside = points.iter().find(|p| domain != TransferDomain::Data && !(0.0..=1.0).contains(&p.x));
+    if let Some(point) = outside {
+        let remedy = "with a domain x is in [0, 1]; leave the domain out to give x in data units";
+        return Err(CoreError::invalid("transfer function's x", point.x, remedy));
+    }
     let num_with = list.iter().filter(|p| p.get("opacity").is_some()).count();
     if num_with == 0 && !points.is_empty() {
         let (first, last) = (points[0].x, points[points.len() - 1].x);
@@ -270,6 +276,8 @@ mod tests {
             (r#"{"points":[{"x":0,"color":[0,0,0],"opacity":0},{"x":1,"color":[0,0,0]}]}"#, "opacity"),
             (r#"{"points":[{"x":0,"color":[0,0,0],"opacity":0}],"domain":[2,1]}"#, "domain"),
             (r#"{"points":[{"x":0,"color":[0,0,0],"opacity":0}],"domain":"all"}"#, "domain"),
+            (r#"{"points":[{"x":20,"color":[0,0,0],"opacity":0}],"domain":[0,80]}"#, "leave the domain out"),
+            (r#"{"points":[{"x":-1,"color":[0,0,0],"opacity":0}],"domain":"variable"}"#, "in [0, 1]"),
             (r#"[{"RGBPoints":[0,0,0]}]"#, "RGBPoints"),
             (r#"[{"RGBPoints":[0,0,0,0],"Points":[0,1,2,0]}]"#, "midpoint"),
             (r#"[{"RGBPoints":[0,0,0,0],"Points":[0,1,0.5,1,1,1,0.5,0]}]"#, "sharpness"),

@@ -3,6 +3,7 @@
 use chronoxel_core::{BitMask, BrickLayout, ResidentBrick};
 
 use crate::RenderError;
+use crate::sweeps::{block_ranges, gradients};
 
 /// Cells along an edge of a block, the unit in which transparent parts of a brick are skipped.
 pub(crate) const BLOCK_EDGE: usize = 4;
@@ -85,55 +86,4 @@ impl PreparedBrick {
             + self.mask.as_ref().map_or(0, |m| m.bytes.len())
             + self.gradients.as_ref().map_or(0, |g| 8 * g.len())
     }
-}
-
-/// Ranges of the samples around the cells of each block: `BLOCK_EDGE + 1` samples along each axis.
-fn block_ranges(samples: &[i16], layout: &BrickLayout) -> Vec<[i16; 2]> {
-    let (edge, full) = (layout.edge, layout.full_edge());
-    let num = edge / BLOCK_EDGE;
-    let mut ranges = vec![[i16::MAX, i16::MIN]; num * num * num];
-    let blocks_of = |i: usize| {
-        let last = (i / BLOCK_EDGE).min(num - 1);
-        let first = if i.is_multiple_of(BLOCK_EDGE) { (i / BLOCK_EDGE).saturating_sub(1) } else { last };
-        first..=last
-    };
-    for z in 0..=edge {
-        for y in 0..=edge {
-            let start = ((z + layout.low) * full + y + layout.low) * full + layout.low;
-            let row = &samples[start..=start + edge];
-            for bx in 0..num {
-                let part = &row[bx * BLOCK_EDGE..=(bx + 1) * BLOCK_EDGE];
-                let [min, max] = part.iter().fold([i16::MAX, i16::MIN], |r, &s| [r[0].min(s), r[1].max(s)]);
-                for bz in blocks_of(z) {
-                    for by in blocks_of(y) {
-                        let range = &mut ranges[(bz * num + by) * num + bx];
-                        *range = [range[0].min(min), range[1].max(max)];
-                    }
-                }
-            }
-        }
-    }
-    ranges
-}
-
-/// Differences of neighbours, the outermost samples standing for those beyond the apron.
-fn gradients(samples: &[i16], full: usize) -> Vec<[i16; 4]> {
-    let strides = [1, full, full * full];
-    let difference = |index: usize, place: usize, axis: usize| {
-        let before = if place > 0 { index - strides[axis] } else { index };
-        let after = if place + 1 < full { index + strides[axis] } else { index };
-        i32::from(samples[after]) - i32::from(samples[before])
-    };
-    let at = |index: usize| {
-        let place = [index % full, index / full % full, index / (full * full)];
-        std::array::from_fn::<i32, 3, _>(|axis| difference(index, place[axis], axis))
-    };
-    let fits = (0..samples.len()).all(|i| at(i).iter().all(|&d| i16::try_from(d).is_ok()));
-    let divisor = if fits { 1 } else { 2 };
-    (0..samples.len())
-        .map(|i| {
-            let [x, y, z] = at(i).map(|d| (d / divisor) as i16);
-            [x, y, z, 0]
-        })
-        .collect()
 }

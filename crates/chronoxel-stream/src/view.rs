@@ -30,7 +30,7 @@ impl ViewVolume {
             let [x, y, z] = std::array::from_fn(|a| normal[a] * grid.spacing[a]);
             [x, y, z, constant + offset]
         });
-        Self { camera: camera.clone(), planes: planes.collect() }
+        Self { camera: *camera, planes: planes.collect() }
     }
 
     /// Whether a box may be visible: false only where it lies wholly outside one of the half-spaces.

@@ -11,12 +11,12 @@ use rayon::prelude::*;
 
 use chronoxel_codec::{Payload, decode_resident};
 use chronoxel_core::{
-    BitMask, BrickLayout, Camera, Image, Lighting, NodeId, Octree, PayloadAddress, ResidentBrick,
-    ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
+    BitMask, BrickLayout, ByteLru, CacheCounts, Camera, Image, Lighting, NodeId, Octree, PayloadAddress,
+    ResidentBrick, ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
 };
 use chronoxel_render::{CpuOptions, DrawBrick, DrawHow, Frame, PreparedBrick, RenderStats, Scene};
 use chronoxel_store::{Store, StoreError};
-use chronoxel_stream::{ByteLru, CacheCounts, DrawItem, How, Selector, ViewVolume};
+use chronoxel_stream::{DrawItem, How, Selector, ViewVolume};
 
 /// What a picture shows, but for the step.
 #[derive(Debug, Clone)]
@@ -236,7 +236,7 @@ impl Session {
         Scene {
             grid: header.grid,
             layout: header.bricks,
-            camera: view.camera.clone(),
+            camera: view.camera,
             transfer: view.transfer.clone(),
             size: view.size,
             step_voxels: view.step_voxels,

@@ -115,6 +115,9 @@ impl Fields {
         if dimension.parse() != Ok(sizes.len()) {
             return Err(wrong(&format!("there must be as many as the dimension, {dimension}")));
         }
+        if sizes.contains(&0) {
+            return Err(wrong("every axis must have at least one sample"));
+        }
         Ok(sizes)
     }
 

@@ -1,8 +1,9 @@
 //! NRRD files, attached and detached.
 
 use chronoxel_core::SampleType;
+use chronoxel_ingest::sources::SourceOptions;
 
-use crate::fixtures::{SPACING, check, expected, open, read, refused};
+use crate::fixtures::{SPACING, check, expected, open, open_with, read, refusal, refused};
 
 #[test]
 fn attached_files_of_every_encoding() {
@@ -47,4 +48,19 @@ fn components_are_variables() {
 fn what_is_not_read_is_refused_with_a_remedy() {
     assert!(refused("nrrd/refused_oblique.nrrd").contains("space directions is (0.5,0.5,0)"));
     assert!(refused("nrrd/refused_bzip2.nrrd").contains("encoding is bzip2"));
+}
+
+#[test]
+fn an_axis_without_samples_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (sizes, kinds) in
+        [("0 4 3 3", "vector domain domain domain"), ("4 3 3 0", "domain domain domain time")]
+    {
+        let file = folder.path().join("empty.nrrd");
+        let header =
+            format!("NRRD0004\ntype: uint8\ndimension: 4\nsizes: {sizes}\nencoding: raw\nkinds: {kinds}\n\n");
+        std::fs::write(&file, header).unwrap();
+        let message = refusal(open_with(&file.to_string_lossy(), &SourceOptions::default()));
+        assert!(message.contains(sizes) && message.contains("at least one sample"), "{message:?}");
+    }
 }

@@ -28,7 +28,8 @@ impl Ticks {
         let power = 10f64.powi(exponent);
         let decimals = match values[..] {
             [first, second, ..] => decimals_of_step((second - first) / power),
-            _ => decimals_of_value(low / power),
+            [only] => decimals_of_value(only / power),
+            [] => 0,
         };
         let labels = values.iter().map(|v| fixed(v / power, decimals)).collect();
         Self { values, labels, exponent }
@@ -123,6 +124,11 @@ mod tests {
 
     fn labels(low: f64, high: f64, max: usize) -> String {
         Ticks::new(low, high, max).labels.join(" ")
+    }
+
+    #[test]
+    fn a_single_round_tick_is_written_short() {
+        assert_eq!(Ticks::new(0.020_833, 1.979, 2).labels, ["1"]);
     }
 
     #[test]

@@ -217,7 +217,7 @@ const SLAB_SAMPLES: usize = 1 << 22;
 fn text(report: &InfoReport) -> String {
     let numbers = |key: &str| {
         let values = report.grid[key].as_array().into_iter().flatten();
-        values.map(ToString::to_string).collect::<Vec<_>>().join(" x ")
+        values.filter_map(Value::as_f64).map(output::number).collect::<Vec<_>>().join(" x ")
     };
     let units = if report.time_units.is_empty() { String::new() } else { format!(" {}", report.time_units) };
     let (first, last) = (report.times.first().unwrap_or(&0.0), report.times.last().unwrap_or(&0.0));
@@ -234,7 +234,13 @@ fn text(report: &InfoReport) -> String {
             numbers("spacing"),
             numbers("origin").replace(" x ", ", ")
         ),
-        format!("{:<10} {} from {first} to {last}{units}", "steps", report.num_steps),
+        format!(
+            "{:<10} {} from {} to {}{units}",
+            "steps",
+            report.num_steps,
+            output::number(*first),
+            output::number(*last)
+        ),
         format!("{:<10} {}", "samples", ByteSize(report.raw_bytes)),
     ];
     if let Some(stored) = report.store.get("stored_bytes").and_then(Value::as_u64) {
@@ -263,8 +269,8 @@ fn text(report: &InfoReport) -> String {
     let rows = report.variables.iter().map(|(name, v)| {
         let text = |key: &str| match &v[key] {
             Value::String(text) => text.clone(),
-            Value::Null => "-".to_owned(),
-            other => other.to_string(),
+            Value::Number(number) => output::number(number.as_f64().unwrap_or(f64::NAN)),
+            _ => "-".to_owned(),
         };
         vec![name.clone(), text("sample_type"), text("min"), text("max"), text("units")]
     });

@@ -40,6 +40,22 @@ fn on_one_line(error: &anyhow::Error) -> String {
     text.replace(char::is_control, " ")
 }
 
+/// A number for people: six digits, without trailing zeros.
+pub fn number(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let exponent = value.abs().log10().floor() as i32;
+    if !(-5..15).contains(&exponent) {
+        return format!("{value:.5e}");
+    }
+    let text = format!("{value:.decimals$}", decimals = (5 - exponent).max(0) as usize);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
 /// Pads the columns of a table: the first to the left, the others to the right.
 pub fn table(rows: &[Vec<String>]) -> String {
     let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
@@ -66,6 +82,12 @@ mod tests {
         assert_eq!(super::on_one_line(&error), "a.png: cannot write: no disk");
         let error = Err::<(), _>(cause()).with_context(|| format!("cannot open: {}", cause())).unwrap_err();
         assert_eq!(super::on_one_line(&error), "cannot open: no disk");
+    }
+
+    #[test]
+    fn numbers_for_people_are_short() {
+        let texts = [1.088_888_888, 0.138_000_339, 1_234_567.0, 12.0, -3e-9, 0.0].map(super::number);
+        assert_eq!(texts, ["1.08889", "0.138", "1234567", "12", "-3.00000e-9", "0"]);
     }
 
     #[test]

@@ -129,7 +129,7 @@ impl RenderArgs {
 
 impl RenderReport {
     fn text(&self, path: &std::path::Path, verbose: bool) -> String {
-        let time = format!("t = {} {}", self.time, self.time_units);
+        let time = format!("t = {} {}", output::number(self.time), self.time_units);
         let line = format!(
             "{}: step {}, {}, {:.0} ms",
             path.display(),

@@ -18,6 +18,7 @@ pub struct CacheCounts {
     pub peak_bytes: usize,
 }
 
+#[derive(Debug)]
 struct Entry<V> {
     value: V,
     num_bytes: usize,
@@ -25,8 +26,10 @@ struct Entry<V> {
 }
 
 /// Values by key, the least recently used ones leaving first when the budget is full.
+#[derive(Debug)]
 pub struct ByteLru<K, V> {
     budget_bytes: usize,
+    most_entries: usize,
     held_bytes: usize,
     now: u64,
     entries: HashMap<K, Entry<V>>,
@@ -38,8 +41,15 @@ pub struct ByteLru<K, V> {
 impl<K: Copy + Eq + Hash, V: Clone> ByteLru<K, V> {
     /// An empty cache that never holds more than `budget_bytes`.
     pub fn new(budget_bytes: usize) -> Self {
+        Self::with_most_entries(budget_bytes, usize::MAX)
+    }
+
+    /// An empty cache that never holds more than `budget_bytes`, nor more than `most_entries` (at least 1), for values that
+    /// hold something else that is scarce, such as open files.
+    pub fn with_most_entries(budget_bytes: usize, most_entries: usize) -> Self {
         Self {
             budget_bytes,
+            most_entries: most_entries.max(1),
             held_bytes: 0,
             now: 0,
             entries: HashMap::new(),
@@ -68,8 +78,8 @@ impl<K: Copy + Eq + Hash, V: Clone> ByteLru<K, V> {
         if num_bytes > self.budget_bytes {
             return;
         }
-        while self.held_bytes + num_bytes > self.budget_bytes {
-            let (_, oldest) = self.by_use.pop_first().expect("bytes are held, so an entry is");
+        while self.held_bytes + num_bytes > self.budget_bytes || self.entries.len() >= self.most_entries {
+            let (_, oldest) = self.by_use.pop_first().expect("bytes or entries are held, so an entry is");
             let entry = self.entries.remove(&oldest).expect("both maps hold the same keys");
             self.held_bytes -= entry.num_bytes;
             self.counts.evictions += 1;
@@ -120,6 +130,13 @@ mod tests {
         assert_eq!(cache.get(&"b"), None);
         assert_eq!((cache.get(&"a"), cache.get(&"c")), (Some(1), Some(3)));
         assert_eq!(cache.counts(), CacheCounts { hits: 3, misses: 1, evictions: 1, peak_bytes: 8 });
+    }
+
+    #[test]
+    fn the_number_of_entries_is_bounded_too() {
+        let mut cache = ByteLru::with_most_entries(1000, 2);
+        (0..5).for_each(|key| cache.insert(key, key, 1));
+        assert_eq!((cache.get(&2), cache.get(&3), cache.get(&4)), (None, Some(3), Some(4)));
     }
 
     #[test]
