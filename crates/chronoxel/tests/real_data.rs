@@ -135,7 +135,10 @@ fn viscous_fingers_from_files_to_pictures() {
     assert!(centre > 20.0 && centre > 1.5 * corner, "centre {centre}, corner of the box {corner}");
     let along_x = encoded.draw(0, "90");
     let (late, early) = (brightness(&along_x, 28..36, 14..20), brightness(&along_x, 28..36, 44..50));
-    assert!(late > 20.0 && late > 2.0 * early, "from +x z grows to the left: {late} there, {early} at the right");
+    assert!(
+        late > 20.0 && late > 2.0 * early,
+        "from +x z grows to the left: {late} there, {early} at the right"
+    );
 }
 
 #[test]
