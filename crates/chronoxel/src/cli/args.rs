@@ -6,7 +6,7 @@ use chronoxel_ingest::{
     TimeSeries,
     sources::{self, SourceOptions},
 };
-use clap::Args;
+use clap::{Args, builder::NonEmptyStringValueParser};
 
 use crate::bytes::ByteSize;
 
@@ -34,7 +34,7 @@ pub struct Common {
 #[derive(Debug, Clone, Args)]
 pub struct SourceArgs {
     /// Files, a quoted glob, a .pvd, a Zarr group or array, or a simulation such as 'sim:plume?dims=64'
-    #[arg(required = true, value_name = "SOURCE")]
+    #[arg(required = true, value_name = "SOURCE", value_parser = NonEmptyStringValueParser::new())]
     pub source: Vec<String>,
     #[command(flatten)]
     pub hints: SourceHints,

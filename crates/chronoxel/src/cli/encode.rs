@@ -17,7 +17,7 @@ use super::{
 use crate::{
     bytes::ByteSize,
     interrupt::Advice,
-    process::resource_usage,
+    process::{resource_usage, return_large_blocks},
     progress::{Counted, Progress},
 };
 
@@ -133,6 +133,9 @@ pub fn options_of(common: &Common) -> EncodeOptions {
     EncodeOptions { memory_bytes: common.memory.0, ..EncodeOptions::default() }
 }
 
+/// Below this, what the allocator keeps matters.
+const TIGHT_MEMORY: ByteSize = ByteSize(1 << 30);
+
 /// Encodes behind a progress bar.
 pub fn encode_series(
     common: &Common,
@@ -141,6 +144,9 @@ pub fn encode_series(
     options: &EncodeOptions,
 ) -> anyhow::Result<EncodeSummary> {
     let num_samples = series.grid().num_samples() as u64 * series.times().num_steps() as u64;
+    if common.memory < TIGHT_MEMORY {
+        return_large_blocks();
+    }
     let _advice = Advice::begin(format!(
         "{} opens up to the last finished step; encode again with --resume to go on",
         store.display()
@@ -162,6 +168,8 @@ pub fn encode_series(
         0 => series.variables().len(),
         n => n,
     } as u64;
+    let num_steps = series.times().num_steps();
+    let read_bytes = report.raw_bytes as f64 * report.steps_read as f64 / num_steps as f64;
     Ok(EncodeSummary {
         store: store.to_owned(),
         raw_bytes: report.raw_bytes,
@@ -169,7 +177,7 @@ pub fn encode_series(
         ratio: report.raw_bytes as f64 / report.stored_bytes as f64,
         bits_per_sample: report.stored_bytes as f64 * 8.0 / (num_samples * num_variables) as f64,
         wall_secs: report.wall_secs,
-        bytes_per_sec: report.raw_bytes as f64 / report.wall_secs,
+        bytes_per_sec: read_bytes / report.wall_secs,
         peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
         steps_read: report.steps_read,
         steps_resumed: report.steps_resumed,
@@ -182,17 +190,21 @@ pub fn encode_series(
 impl EncodeSummary {
     /// One line for people.
     pub fn text(&self) -> String {
+        let done = match (self.steps_read, self.steps_resumed) {
+            (0, _) => "all steps were there already".to_owned(),
+            (read, resumed) => {
+                let more = if resumed > 0 { " more" } else { "" };
+                let (secs, rate) = (self.wall_secs, ByteSize(self.bytes_per_sec as u64));
+                format!("{read}{more} steps in {secs:.1} s ({rate}/s, {} threads)", self.threads)
+            }
+        };
         format!(
-            "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {} steps in {:.1} s ({}/s, {} threads)",
+            "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {done}",
             self.store.display(),
             ByteSize(self.raw_bytes),
             ByteSize(self.stored_bytes),
             self.ratio,
             self.bits_per_sample,
-            self.steps_read,
-            self.wall_secs,
-            ByteSize(self.bytes_per_sec as u64),
-            self.threads
         )
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 
 use super::{
@@ -28,7 +28,7 @@ pub struct MovieArgs {
     /// The store
     store: PathBuf,
     /// What to write: .mp4 (through ffmpeg), .gif, .apng, or numbered pictures 'f/{frame:04}.png'
-    #[arg(short, long, value_name = "OUT")]
+    #[arg(short, long, value_name = "OUT", value_parser = NonEmptyStringValueParser::new())]
     output: String,
     /// Steps to show, as 0:100:2 [default: all]
     #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true)]

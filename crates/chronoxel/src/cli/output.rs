@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use anyhow::Context;
 use serde::Serialize;
 
 /// Prints one JSON object on stdout. A closed pipe is not an error.
@@ -13,7 +14,7 @@ pub fn json(value: &impl Serialize) -> anyhow::Result<()> {
 pub fn line(text: &str) -> anyhow::Result<()> {
     match writeln!(std::io::stdout().lock(), "{text}") {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        other => Ok(other?),
+        other => other.context("cannot write to stdout"),
     }
 }
 

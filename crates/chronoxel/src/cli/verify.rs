@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::OnceLock};
 
-use clap::Args;
+use clap::{Args, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -24,7 +24,7 @@ pub struct VerifyArgs {
     /// The store
     store: PathBuf,
     /// The source it was made from: files, a quoted glob, a simulation
-    #[arg(long, value_name = "SOURCE", num_args = 1..)]
+    #[arg(long, value_name = "SOURCE", num_args = 1.., value_parser = NonEmptyStringValueParser::new())]
     against: Vec<String>,
     /// Steps to measure against the source, as 0:100:2 [default: all]
     #[arg(long, value_name = "A:B[:S]", allow_hyphen_values = true, requires = "against")]

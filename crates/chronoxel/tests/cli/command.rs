@@ -50,7 +50,7 @@ impl Ran {
             stdout: text(&output.stdout),
             stderr: text(&output.stderr),
         };
-        assert!(!ran.stderr.contains("panicked"), "{ran:#?}");
+        assert!(!ran.stderr.contains("panicked"), "{line}: {ran:#?}");
         ran
     }
 }
@@ -58,7 +58,7 @@ impl Ran {
 /// Runs a command line that must succeed, without a word on stderr.
 pub fn done(folder: &Path, line: &str) -> Ran {
     let ran = run(folder, line);
-    assert_eq!((ran.status, ran.stderr.as_str()), (0, ""), "{ran:#?}");
+    assert_eq!((ran.status, ran.stderr.as_str()), (0, ""), "{line}: {ran:#?}");
     ran
 }
 
@@ -81,12 +81,12 @@ pub fn one_object(ran: &Ran) -> Value {
 pub fn refused(folder: &Path, line: &str, says: &[&str]) -> Ran {
     let before = files::tree(folder);
     let ran = run(folder, line);
-    assert_eq!(ran.status, 1, "{ran:#?}");
-    assert_eq!(ran.stdout, "", "{ran:#?}");
-    assert!(ran.stderr.starts_with("chronoxel: error: ") && ran.stderr.ends_with('\n'), "{ran:#?}");
-    assert_eq!(ran.stderr.matches('\n').count(), 1, "one line: {ran:#?}");
+    assert_eq!(ran.status, 1, "{line}: {ran:#?}");
+    assert_eq!(ran.stdout, "", "{line}: {ran:#?}");
+    assert!(ran.stderr.starts_with("chronoxel: error: ") && ran.stderr.ends_with('\n'), "{line}: {ran:#?}");
+    assert_eq!(ran.stderr.matches('\n').count(), 1, "one line: {line}: {ran:#?}");
     for word in says {
-        assert!(ran.stderr.contains(word), "no {word:?} in {ran:#?}");
+        assert!(ran.stderr.contains(word), "no {word:?} in {line}: {ran:#?}");
     }
     let after = files::tree(folder);
     assert!(before == after, "{line:?} left {:?} of {:?}", after.keys(), before.keys());

@@ -1,4 +1,4 @@
-//! Bytes flipped in every file of a store: found by `verify`, survived by `render`, never shown in silence.
+//! Bytes flipped in every file of a store: found by `verify`, survived by `render`, never shown or exported in silence.
 
 use std::{fs, path::Path};
 
@@ -6,7 +6,7 @@ use tempfile::tempdir;
 
 use crate::{
     command::{at, done, one_object, run},
-    files::{mean_difference, noise, picture, tree, write_f32},
+    files::{mean_difference, names_in, noise, picture, tree, write_f32},
 };
 
 /// Places flipped in each file.
@@ -33,7 +33,9 @@ fn flipped_bytes_are_found_and_never_shown_in_silence() {
     let folder = folder.path();
     store_in(folder);
     let whole = picture(folder.join("whole.png"));
-    let (mut num_stood_in, mut num_failed) = (0, 0);
+    done(folder, "export run.cxl -o whole.npy -q");
+    let exact = fs::read(folder.join("whole.npy")).unwrap();
+    let (mut num_stood_in, mut num_failed, mut num_not_exported) = (0, 0, 0);
     for (number, (name, bytes)) in tree(&folder.join("run.cxl")).into_iter().enumerate() {
         let Some(bytes) = bytes else { continue };
         let path = folder.join("run.cxl").join(&name);
@@ -53,6 +55,17 @@ fn flipped_bytes_are_found_and_never_shown_in_silence() {
             } else {
                 let problems = at(&one_object(&verified), "problems").to_string();
                 assert!(problems.contains(&name), "{what}: {problems}");
+            }
+
+            let exported = run(folder, "export run.cxl -o part.npy -q");
+            if exported.status == 0 {
+                assert!(fs::read(folder.join("part.npy")).unwrap() == exact, "{what}: exported otherwise");
+                fs::remove_file(folder.join("part.npy")).unwrap();
+            } else {
+                assert_eq!(exported.status, 1, "{what}: {exported:#?}");
+                assert!(exported.stderr.contains(&name), "{what}: {exported:#?}");
+                assert_eq!(names_in(folder), ["blob.npy", "run.cxl", "whole.npy", "whole.png"]);
+                num_not_exported += 1;
             }
 
             let drawn = run(folder, "render run.cxl -o part.png --size 60x50 -q");
@@ -77,5 +90,6 @@ fn flipped_bytes_are_found_and_never_shown_in_silence() {
         }
         fs::write(&path, &bytes).unwrap();
     }
-    assert!(num_stood_in > 0 && num_failed > 0, "{num_stood_in} stood in, {num_failed} failed");
+    let counts = [num_stood_in, num_failed, num_not_exported];
+    assert!(counts.iter().all(|&count| count > 0), "stood in, failed, not exported: {counts:?}");
 }

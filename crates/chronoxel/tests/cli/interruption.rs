@@ -68,6 +68,9 @@ fn check_resume(folder: &Path, whole: &Path, name: &str) {
     done(folder, &format!("{ENCODE} --resume"));
     assert_same_folders(whole, &folder.join("run.cxl"));
     assert_eq!(names_in(folder), ["run.cxl"], "{name}");
+    let again = json(folder, &format!("{ENCODE} --resume"));
+    assert_eq!([at(&again, "steps_read"), at(&again, "steps_resumed")], [0, 16]);
+    assert_eq!(at(&again, "bytes_per_sec"), 0.0);
     std::fs::remove_dir_all(folder.join("run.cxl")).unwrap();
 }
 

@@ -24,6 +24,9 @@ fn wrong_usage_has_status_2_and_says_what_would_be_right() {
         ("encode a.raw -o b.cxl --dtype u12", "u12"),
         ("encode a.npy -o b.cxl --dt 0", "above zero"),
         ("info", "<SOURCE>"),
+        ("info ''", "a value is required"),
+        ("encode '' -o b.cxl", "a value is required"),
+        ("movie a.cxl -o ''", "a value is required"),
         ("verify", "<STORE>"),
         ("verify a.cxl --steps 0:2", "--against"),
         ("export a.cxl", "--output"),
@@ -58,9 +61,9 @@ fn wrong_usage_has_status_2_and_says_what_would_be_right() {
         ("demo --size huge", "possible values"),
     ] {
         let ran = run(folder.path(), line);
-        assert_eq!(ran.status, 2, "{ran:#?}");
-        assert_eq!(ran.stdout, "", "{ran:#?}");
-        assert!(ran.stderr.contains(says), "no {says:?} in {ran:#?}");
+        assert_eq!(ran.status, 2, "{line}: {ran:#?}");
+        assert_eq!(ran.stdout, "", "{line}: {ran:#?}");
+        assert!(ran.stderr.contains(says), "no {says:?} in {line}: {ran:#?}");
     }
     assert!(crate::files::names_in(folder.path()).is_empty());
 }
