@@ -211,6 +211,13 @@ fn ranges_of(
     Ok(found)
 }
 
+/// Whether all steps are equally long, to a thousandth of the mean one.
+fn is_even(times: &[f64]) -> bool {
+    let (Some(first), Some(last)) = (times.first(), times.last()) else { return true };
+    let mean = (last - first) / (times.len().max(2) - 1) as f64;
+    times.windows(2).all(|pair| (pair[1] - pair[0] - mean).abs() <= 1e-3 * mean)
+}
+
 /// Samples that are read at once.
 const SLAB_SAMPLES: usize = 1 << 22;
 
@@ -235,11 +242,12 @@ fn text(report: &InfoReport) -> String {
             numbers("origin").replace(" x ", ", ")
         ),
         format!(
-            "{:<10} {} from {} to {}{units}",
+            "{:<10} {} from {} to {}{units}{}",
             "steps",
             report.num_steps,
             output::number(*first),
-            output::number(*last)
+            output::number(*last),
+            if is_even(&report.times) { "" } else { ", unevenly spaced" }
         ),
         format!("{:<10} {}", "samples", ByteSize(report.raw_bytes)),
     ];
@@ -276,4 +284,15 @@ fn text(report: &InfoReport) -> String {
     });
     lines.push(output::table(&std::iter::once(heading).chain(rows).collect::<Vec<_>>()));
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_even;
+
+    #[test]
+    fn uneven_steps_are_told_from_even_ones() {
+        assert!(is_even(&[0.0, 0.1, 0.2, 0.30000000000000004]) && is_even(&[5.0]));
+        assert!(!is_even(&[2.0, 3.0, 30.0]));
+    }
 }
