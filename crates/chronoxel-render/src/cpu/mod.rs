@@ -81,8 +81,8 @@ impl<'a> Frame<'a> {
     /// [`RenderError`] if the scene cannot be drawn.
     pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
         scene.check()?;
-        let mut gathered = Image::new(scene.size[0], scene.size[1])?;
-        gathered.pixels.fill([0.0, 0.0, 0.0, 1.0]);
+        let [width, height] = scene.size;
+        let gathered = Image { width, height, pixels: vec![[0.0, 0.0, 0.0, 1.0]; width * height] };
         Ok(Self { scene, options, gathered, is_begun: false, stats: RenderStats::default() })
     }
 
