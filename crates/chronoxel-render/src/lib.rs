@@ -8,7 +8,6 @@ pub mod error;
 pub mod prepared;
 pub mod reference;
 pub mod scene;
-mod sweeps;
 
 pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
 pub use error::RenderError;

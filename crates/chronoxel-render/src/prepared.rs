@@ -3,12 +3,11 @@
 use chronoxel_core::{BitMask, BrickLayout, ResidentBrick};
 
 use crate::RenderError;
-use crate::sweeps::{block_ranges, gradients};
 
 /// Cells along an edge of a block, the unit in which transparent parts of a brick are skipped.
 pub(crate) const BLOCK_EDGE: usize = 4;
 
-/// A brick made ready once for many pictures: samples around 0, ranges of its blocks, and gradients.
+/// A brick made ready once for many pictures: samples around 0, and ranges of its blocks.
 #[derive(Debug)]
 pub struct PreparedBrick {
     layout: BrickLayout,
@@ -22,20 +21,15 @@ pub struct PreparedBrick {
     pub(crate) block_ranges: Vec<[i16; 2]>,
     /// Smallest and largest of those.
     pub(crate) range: [i16; 2],
-    /// Where lit: differences of the neighbours along x, y, z in units of `samples` (all halved where one does
-    /// not fit), and a 0.
-    pub(crate) gradients: Option<Vec<[i16; 4]>>,
 }
 
 impl PreparedBrick {
     /// Prepares a brick.
     ///
-    /// * `lit`: whether it may be drawn with lighting, which needs its gradients (8 bytes per sample)
-    ///
     /// # Errors
     /// [`RenderError::InvalidArgument`] if the brick has another shape than the layout says, or a value range that is
     /// not finite.
-    pub fn new(brick: ResidentBrick, layout: &BrickLayout, lit: bool) -> Result<Self, RenderError> {
+    pub fn new(brick: ResidentBrick, layout: &BrickLayout) -> Result<Self, RenderError> {
         let num_full = layout.num_full();
         let mask_fits = brick.mask.as_ref().is_none_or(|m| m.bytes.len() == num_full.div_ceil(8));
         if brick.samples.len() != num_full || !mask_fits || layout.low < 1 || layout.high < 2 {
@@ -49,7 +43,6 @@ impl PreparedBrick {
         let samples: Vec<i16> = brick.samples.into_iter().map(|s| (s ^ 0x8000) as i16).collect();
         let block_ranges = block_ranges(&samples, layout);
         let range = block_ranges.iter().fold([i16::MAX, i16::MIN], |r, b| [r[0].min(b[0]), r[1].max(b[1])]);
-        let gradients = lit.then(|| gradients(&samples, layout.full_edge()));
         Ok(Self {
             layout: *layout,
             samples,
@@ -58,7 +51,6 @@ impl PreparedBrick {
             mask: brick.mask,
             block_ranges,
             range,
-            gradients,
         })
     }
 
@@ -67,15 +59,10 @@ impl PreparedBrick {
         &self.layout
     }
 
-    /// Whether it can be drawn with lighting.
-    pub fn is_lit(&self) -> bool {
-        self.gradients.is_some()
-    }
-
     /// About how many bytes a brick without a mask takes, to plan with.
-    pub fn estimated_bytes(layout: &BrickLayout, lit: bool) -> usize {
+    pub fn estimated_bytes(layout: &BrickLayout) -> usize {
         let num_blocks = (layout.edge / BLOCK_EDGE).pow(3);
-        size_of::<Self>() + 4 * num_blocks + layout.num_full() * if lit { 10 } else { 2 }
+        size_of::<Self>() + 4 * num_blocks + 2 * layout.num_full()
     }
 
     /// Bytes held in memory.
@@ -84,6 +71,73 @@ impl PreparedBrick {
             + 2 * self.samples.len()
             + 4 * self.block_ranges.len()
             + self.mask.as_ref().map_or(0, |m| m.bytes.len())
-            + self.gradients.as_ref().map_or(0, |g| 8 * g.len())
+    }
+}
+
+/// Ranges of the samples around the cells of each block: `BLOCK_EDGE + 1` samples along each axis.
+///
+/// In sweeps over whole rows and planes, which the compiler turns into vector instructions.
+///
+/// * `samples`: those of a brick, core and apron
+fn block_ranges(samples: &[i16], layout: &BrickLayout) -> Vec<[i16; 2]> {
+    let (edge, full) = (layout.edge, layout.full_edge());
+    let num = edge / BLOCK_EDGE;
+    let around = |block: usize| layout.low + block * BLOCK_EDGE..=layout.low + (block + 1) * BLOCK_EDGE;
+    let mut ranges = Vec::with_capacity(num * num * num);
+    // Least and largest along z of each column of samples, and of those along y.
+    let [mut least_z, mut most_z] = [vec![0; full * full], vec![0; full * full]];
+    let [mut least_y, mut most_y] = [vec![0; full], vec![0; full]];
+    for bz in 0..num {
+        extremes(around(bz).map(|z| &samples[z * full * full..][..full * full]), &mut least_z, i16::min);
+        extremes(around(bz).map(|z| &samples[z * full * full..][..full * full]), &mut most_z, i16::max);
+        for by in 0..num {
+            extremes(around(by).map(|y| &least_z[y * full..][..full]), &mut least_y, i16::min);
+            extremes(around(by).map(|y| &most_z[y * full..][..full]), &mut most_y, i16::max);
+            ranges.extend((0..num).map(|bx| {
+                let least = least_y[around(bx)].iter().copied().fold(i16::MAX, i16::min);
+                let most = most_y[around(bx)].iter().copied().fold(i16::MIN, i16::max);
+                [least, most]
+            }));
+        }
+    }
+    ranges
+}
+
+/// The extremes of several rows, place by place.
+fn extremes<'a>(
+    mut rows: impl Iterator<Item = &'a [i16]>,
+    extreme: &mut [i16],
+    of: impl Fn(i16, i16) -> i16,
+) {
+    if let Some(first) = rows.next() {
+        extreme.copy_from_slice(first);
+    }
+    for row in rows {
+        extreme.iter_mut().zip(row).for_each(|(e, &s)| *e = of(*e, s));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_those_found_by_trying_all() {
+        let layout = BrickLayout::new(16).unwrap();
+        let full = layout.full_edge();
+        // They jump about, and reach both ends of their type.
+        let samples: Vec<i16> =
+            (0..layout.num_full() as i64).map(|i| (i * i * 7919 + i * 104_729) as i16).collect();
+        let ranges = block_ranges(&samples, &layout);
+        assert_eq!(ranges.len(), 64);
+        for (i, range) in ranges.iter().enumerate() {
+            let first = [i % 4, i / 4 % 4, i / 16].map(|b| layout.low + 4 * b);
+            let around = (0..125).map(|j| {
+                let place = [first[0] + j % 5, first[1] + j / 5 % 5, first[2] + j / 25];
+                samples[(place[2] * full + place[1]) * full + place[0]]
+            });
+            assert_eq!(Some(range[0]), around.clone().min());
+            assert_eq!(Some(range[1]), around.max());
+        }
     }
 }

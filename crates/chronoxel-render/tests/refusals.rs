@@ -35,8 +35,6 @@ fn bricks() {
     let field = field();
     let scene = scene_of(&field, 16, "ramp", true);
     let list = field.draw_list(&scene, 0, Quantise::Exact);
-    let unlit = field.draw_list(&Scene { lighting: None, ..scene.clone() }, 0, Quantise::Exact);
-    assert_refused(&scene, &unlit, "gradients is missing");
     let other = Scene { layout: BrickLayout::new(8).unwrap(), ..scene.clone() };
     assert_refused(&other, &list, "brick's layout");
     let mut bad = list.clone();
@@ -50,10 +48,10 @@ fn bricks() {
     let whole = field.brick(list[0].node, &layout, Quantise::Exact);
     let mut short = whole.clone();
     short.samples.pop();
-    assert!(PreparedBrick::new(short, &layout, false).is_err());
+    assert!(PreparedBrick::new(short, &layout).is_err());
     let mut infinite = whole;
     infinite.scale = f64::INFINITY;
-    assert!(PreparedBrick::new(infinite, &layout, false).is_err());
+    assert!(PreparedBrick::new(infinite, &layout).is_err());
 }
 
 #[test]

@@ -82,7 +82,6 @@ struct BrickKey {
     content: Content,
     /// Where the mask lies; masks are stored with the window of their span.
     mask: Option<PayloadAddress>,
-    lit: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -97,13 +96,13 @@ enum Content {
 }
 
 impl BrickKey {
-    fn new(level: u8, record: &SpanRecord, step: u32, lit: bool) -> Option<Self> {
+    fn new(level: u8, record: &SpanRecord, step: u32) -> Option<Self> {
         let content = match record.kind {
             SpanKind::Empty => return None,
             SpanKind::Constant(value) => Content::Constant(value.to_bits()),
             SpanKind::Coded { class, at } => Content::Coded { class, at, step_in_span: step - record.start },
         };
-        Some(Self { level, window: record.window, content, mask: record.mask, lit })
+        Some(Self { level, window: record.window, content, mask: record.mask })
     }
 }
 
@@ -218,9 +217,9 @@ impl Session {
         let mut rest = &items[..];
         while !rest.is_empty() {
             let start = Instant::now();
-            let (portion, after) = rest.split_at(self.portion_len(rest, view.lighting.is_some()));
+            let (portion, after) = rest.split_at(self.portion_len(rest));
             rest = after;
-            let draws = self.fetch(portion, step, view.lighting.is_some(), &mut bricks, &mut faults)?;
+            let draws = self.fetch(portion, step, &mut bricks, &mut faults)?;
             fetch_ms += start.elapsed().as_secs_f64() * 1e3;
             frame.draw(&draws)?;
         }
@@ -288,8 +287,8 @@ impl Session {
     }
 
     /// How many of the next items fit a portion of the memory budget; at least one.
-    fn portion_len(&self, items: &[DrawItem], lit: bool) -> usize {
-        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks, lit);
+    fn portion_len(&self, items: &[DrawItem]) -> usize {
+        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks);
         let mut left = self.portion_bytes;
         let fits = items.iter().take_while(|item| {
             let need = if item.how == How::Payload { brick_bytes } else { 0 };
@@ -305,7 +304,6 @@ impl Session {
         &mut self,
         items: &[DrawItem],
         step: u32,
-        lit: bool,
         counts: &mut BrickCounts,
         faults: &mut Faults,
     ) -> anyhow::Result<Vec<DrawBrick>> {
@@ -314,7 +312,7 @@ impl Session {
         let mut wanted: Vec<Wanted> = Vec::new();
         for item in items.iter().filter(|item| item.how == How::Payload) {
             let record = self.record(&tree, item.node, step)?;
-            let Some(key) = BrickKey::new(item.node.level, &record, step, lit) else { continue };
+            let Some(key) = BrickKey::new(item.node.level, &record, step) else { continue };
             match self.bricks.get(&key) {
                 Some(brick) => {
                     counts.reused += 1;
@@ -323,7 +321,7 @@ impl Session {
                 None => wanted.push(Wanted { node: item.node, record, key }),
             }
         }
-        for (wanted, loaded) in self.load(&wanted, step, lit) {
+        for (wanted, loaded) in self.load(&wanted, step) {
             counts.new += 1;
             let brick = match loaded {
                 Ok(brick) => brick,
@@ -343,7 +341,7 @@ impl Session {
                     How::Constant(value) => (item.node, DrawHow::Constant(value)),
                     How::Payload => match ready.get(&item.node) {
                         Some(brick) => (item.node, DrawHow::Samples(Arc::clone(brick))),
-                        None => self.stand_in(&tree, item.node, step, lit, faults)?,
+                        None => self.stand_in(&tree, item.node, step, faults)?,
                     },
                 };
                 match how {
@@ -357,14 +355,14 @@ impl Session {
     }
 
     /// Reads and decodes bricks: payloads of a level in as few reads as possible, decoding in parallel.
-    fn load<'a>(&mut self, wanted: &'a [Wanted], step: u32, lit: bool) -> Vec<(&'a Wanted, Loaded)> {
+    fn load<'a>(&mut self, wanted: &'a [Wanted], step: u32) -> Vec<(&'a Wanted, Loaded)> {
         let (store, variable) = (&self.store, self.variable);
         let mut loaded = Vec::with_capacity(wanted.len());
         for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
             let records: Vec<SpanRecord> = of_level.iter().map(|w| w.record).collect();
             let payloads = store.read_payloads(variable, of_level[0].node.level, &records);
             let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
-                (w, payload.map_err(Into::into).and_then(|p| prepare(store, variable, w, p, step, lit)))
+                (w, payload.map_err(Into::into).and_then(|p| prepare(store, variable, w, p, step)))
             });
             loaded.par_extend(prepared);
         }
@@ -377,7 +375,6 @@ impl Session {
         tree: &Octree,
         damaged: NodeId,
         step: u32,
-        lit: bool,
         faults: &mut Faults,
     ) -> anyhow::Result<(NodeId, DrawHow)> {
         let mut node = damaged;
@@ -388,11 +385,11 @@ impl Session {
                 SpanKind::Empty => return Ok((node, DrawHow::Skip)),
                 SpanKind::Constant(value) if record.mask.is_none() => DrawHow::Constant(value),
                 _ => {
-                    let Some(key) = BrickKey::new(node.level, &record, step, lit) else { continue };
+                    let Some(key) = BrickKey::new(node.level, &record, step) else { continue };
                     let wanted = Wanted { node, record, key };
                     let loaded = match self.bricks.get(&key) {
                         Some(brick) => Ok(brick),
-                        None => load_brick(&self.store, self.variable, &wanted, step, lit),
+                        None => load_brick(&self.store, self.variable, &wanted, step),
                     };
                     match loaded {
                         Ok(brick) => {
@@ -421,23 +418,16 @@ struct Wanted {
     key: BrickKey,
 }
 
-fn load_brick(store: &Store, variable: usize, wanted: &Wanted, step: u32, lit: bool) -> Loaded {
+fn load_brick(store: &Store, variable: usize, wanted: &Wanted, step: u32) -> Loaded {
     let payload = match wanted.record.kind {
         SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
         _ => None,
     };
-    prepare(store, variable, wanted, payload, step, lit)
+    prepare(store, variable, wanted, payload, step)
 }
 
 /// Makes a brick ready to be drawn, from its payload or its constant value.
-fn prepare(
-    store: &Store,
-    variable: usize,
-    wanted: &Wanted,
-    payload: Option<Payload>,
-    step: u32,
-    lit: bool,
-) -> Loaded {
+fn prepare(store: &Store, variable: usize, wanted: &Wanted, payload: Option<Payload>, step: u32) -> Loaded {
     let Wanted { node, record, .. } = wanted;
     let layout = &store.header().bricks;
     let mask = store.read_mask(variable, node.level, record)?;
@@ -446,7 +436,7 @@ fn prepare(
         (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
         (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
     };
-    Ok(Arc::new(PreparedBrick::new(resident, layout, lit)?))
+    Ok(Arc::new(PreparedBrick::new(resident, layout)?))
 }
 
 fn constant_brick(value: f64, mask: Option<BitMask>, layout: &BrickLayout) -> ResidentBrick {

@@ -1,16 +1,17 @@
 //! The kernel: eight rays through one brick.
 
-use chronoxel_core::{BitMask, Lighting};
+use chronoxel_core::BitMask;
 
 use crate::prepared::BLOCK_EDGE;
 
 use super::lanes::{F8, I8, Lanes, Plain};
+use super::light::{LightJob, terms};
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
 pub(super) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
 
 /// Samples taken before the blocks ahead are looked at again.
-const RUN: f32 = 8.0;
+const RUN: f32 = 12.0;
 
 /// Eight rays, and what they have gathered so far.
 #[derive(Debug, Clone, Copy)]
@@ -72,18 +73,7 @@ pub(super) struct BrickJob<'a> {
     pub blocks: Option<&'a [f32]>,
     pub blocks_along_edge: usize,
     pub mask: Option<&'a BitMask>,
-    pub light: Option<LightJob<'a>>,
-}
-
-/// What the kernel needs to light a brick.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct LightJob<'a> {
-    pub lighting: Lighting,
-    pub gradients: &'a [[i16; 4]],
-    /// From differences of samples to gradients in the world, up to a common factor.
-    pub world_from_difference: [f32; 3],
-    /// From `difference · step` to the gradient times the ray's unit vector, up to the same factor.
-    pub unit_from_step: f32,
+    pub light: Option<LightJob>,
 }
 
 /// Draws a brick into a packet and returns the number of samples taken.
@@ -203,7 +193,7 @@ struct Rays<L: Lanes> {
     step: [L::F; 3],
     inverse_step: [L::F; 3],
     origin: [L::F; 3],
-    /// Least and largest coordinates whose cells lie in core and apron.
+    /// Least and largest coordinates in the cells of the core, around which the apron holds all that gradients need.
     least: L::F,
     most: L::F,
 }
@@ -224,13 +214,14 @@ impl<L: Lanes> Rays<L> {
                 step: [L::load(&s[0]), L::load(&s[1]), L::load(&s[2])],
                 inverse_step: [L::load(&i[0]), L::load(&i[1]), L::load(&i[2])],
                 origin: [L::splat(job.origin[0]), L::splat(job.origin[1]), L::splat(job.origin[2])],
-                least: L::splat(-(job.low_apron as f32)),
-                most: L::splat((job.full_edge - 1 - job.low_apron) as f32 - 1e-3),
+                least: L::splat(0.0),
+                most: L::splat(((job.blocks_along_edge * BLOCK_EDGE) as f32).next_down()),
             }
         }
     }
 
-    /// Place of sample `k` along an axis, counted from the core's first sample and kept inside core and apron.
+    /// Place of sample `k` along an axis, counted from the core's first sample and kept inside the core's cells,
+    /// out of which rounding may carry it.
     ///
     /// The difference is exact, so that a place is the same point of the grid in whichever brick it is sampled.
     #[inline(always)]
@@ -245,14 +236,14 @@ impl<L: Lanes> Rays<L> {
 }
 
 /// Where eight samples lie among those of a brick.
-struct Cells<L: Lanes> {
-    offsets: I8,
-    weights_x: L::I,
-    wy: L::F,
-    wz: L::F,
+pub(super) struct Cells<L: Lanes> {
+    pub offsets: I8,
+    pub weights_x: L::I,
+    pub wy: L::F,
+    pub wz: L::F,
 }
 
-/// Index of the sample at whole coordinates, which may be negative by as much as the apron is wide.
+/// Index of the sample at whole coordinates.
 #[inline(always)]
 unsafe fn sample_index<L: Lanes>([x, y, z]: [L::F; 3], job: &BrickJob) -> L::F {
     let row = job.full_edge;
@@ -277,22 +268,34 @@ unsafe fn cells_at<L: Lanes>(places: [L::F; 3], job: &BrickJob) -> Cells<L> {
     }
 }
 
-/// Trilinear interpolation, in units of `1 / WEIGHT_ONE` of a sample.
+/// `a` where the weight is 0, `b` where it is 1.
 #[inline(always)]
-unsafe fn interpolate<L: Lanes>(samples: &[i16], full_edge: usize, cells: &Cells<L>) -> L::F {
-    let (row, plane) = (full_edge, full_edge * full_edge);
+unsafe fn mix<L: Lanes>(a: L::F, b: L::F, weight: L::F) -> L::F {
+    // SAFETY: as the caller guarantees for L.
+    unsafe { L::add(a, L::mul(L::sub(b, a), weight)) }
+}
+
+/// The samples of cells, interpolated along x, in units of `1 / WEIGHT_ONE` of a sample: for each z, for each y.
+#[inline(always)]
+unsafe fn edges<L: Lanes>(job: &BrickJob, cells: &Cells<L>) -> [[L::I; 2]; 2] {
+    let (row, plane) = (job.full_edge, job.full_edge * job.full_edge);
     // SAFETY: `Rays::place` keeps every cell's eight samples inside the brick's `full_edge`³, which is what
     // `PreparedBrick::new` checked `samples` to hold; the rest as the caller guarantees for L.
     unsafe {
-        let start = samples.as_ptr();
-        let w = cells.weights_x;
-        let s00 = L::blend(L::pairs(start, &cells.offsets), w);
-        let s01 = L::blend(L::pairs(start.add(row), &cells.offsets), w);
-        let s10 = L::blend(L::pairs(start.add(plane), &cells.offsets), w);
-        let s11 = L::blend(L::pairs(start.add(plane + row), &cells.offsets), w);
-        let s0 = L::add(s00, L::mul(L::sub(s01, s00), cells.wy));
-        let s1 = L::add(s10, L::mul(L::sub(s11, s10), cells.wy));
-        L::add(s0, L::mul(L::sub(s1, s0), cells.wz))
+        let start = job.samples.as_ptr();
+        let at = |by: usize| L::sums(L::pairs(start.add(by), &cells.offsets), cells.weights_x);
+        [[at(0), at(row)], [at(plane), at(plane + row)]]
+    }
+}
+
+/// Interpolation along y and z of what was interpolated along x.
+#[inline(always)]
+pub(super) unsafe fn interpolate<L: Lanes>([near, far]: [[L::I; 2]; 2], cells: &Cells<L>) -> L::F {
+    // SAFETY: as the caller guarantees for L.
+    unsafe {
+        let near = mix::<L>(L::to_float(near[0]), L::to_float(near[1]), cells.wy);
+        let far = mix::<L>(L::to_float(far[0]), L::to_float(far[1]), cells.wy);
+        mix::<L>(near, far, cells.wz)
     }
 }
 
@@ -306,52 +309,6 @@ unsafe fn table_offsets<L: Lanes>(job: &BrickJob, sample: L::F) -> I8 {
         let last = L::splat((job.table.len() - 1) as f32);
         // Inside the table, NaN included: `max` gives its second argument then.
         L::row_offsets(L::min(L::max(index, L::splat(0.0)), last))
-    }
-}
-
-/// The two terms of `Lighting::headlight_terms`: the factor of the colour, and the highlight.
-#[inline(always)]
-unsafe fn light_terms<L: Lanes>(
-    job: &BrickJob,
-    light: &LightJob,
-    step: &[L::F; 3],
-    cells: &Cells<L>,
-) -> [L::F; 2] {
-    // SAFETY: `gradients` has one entry per sample, so that what holds for `interpolate` holds here.
-    unsafe {
-        let strides = [job.full_edge, job.full_edge * job.full_edge];
-        let start = light.gradients.as_ptr();
-        let difference = L::gradients(start, &cells.offsets, strides, cells.weights_x, cells.wy, cells.wz);
-        let (mut square, mut product) = (L::splat(0.0), L::splat(0.0));
-        for a in 0..3 {
-            let gradient = L::mul(difference[a], L::splat(light.world_from_difference[a]));
-            square = L::add(square, L::mul(gradient, gradient));
-            // The spacings by which the gradient is divided and a step in voxels multiplied cancel.
-            product = L::add(product, L::mul(difference[a], step[a]));
-        }
-        let is_lit = L::less(L::splat(0.0), square);
-        let along = L::abs(L::mul(product, L::splat(light.unit_from_step)));
-        let cosine = L::div(along, L::sqrt(square));
-        let Lighting { ambient, diffuse, specular, specular_power } = light.lighting;
-        let scattered = L::add(L::splat(ambient), L::mul(L::splat(diffuse), cosine));
-        let highlight = L::mul(L::splat(specular), power::<L>(cosine, specular_power));
-        [L::select(is_lit, scattered, L::splat(1.0)), L::and(is_lit, highlight)]
-    }
-}
-
-#[inline(always)]
-unsafe fn power<L: Lanes>(base: L::F, exponent: u32) -> L::F {
-    // SAFETY: as the caller guarantees for L.
-    unsafe {
-        let (mut result, mut square, mut rest) = (L::splat(1.0), base, exponent);
-        while rest > 0 {
-            if rest & 1 == 1 {
-                result = L::mul(result, square);
-            }
-            square = L::mul(square, square);
-            rest >>= 1;
-        }
-        result
     }
 }
 
@@ -427,6 +384,7 @@ unsafe fn skip_hidden<L: Lanes>(
 /// Eight samples that were found, and not yet composited.
 struct Look<L: Lanes> {
     cells: Cells<L>,
+    edges: [[L::I; 2]; 2],
     /// Lanes that are still before the end of their run.
     in_range: L::F,
     /// Of those, lanes that are not masked.
@@ -451,11 +409,9 @@ unsafe fn look<L: Lanes, const MASKED: bool>(
             Some(mask) if MASKED => L::and(in_range, unmasked::<L>(mask, places, job)),
             _ => in_range,
         };
-        if let Some(light) = &job.light {
-            L::prefetch(light.gradients.as_ptr(), &cells.offsets, job.full_edge * job.full_edge);
-        }
-        let sample = interpolate::<L>(job.samples, job.full_edge, &cells);
-        Look { table_offsets: table_offsets::<L>(job, sample), cells, in_range, shown }
+        let edges = edges::<L>(job, &cells);
+        let sample = interpolate::<L>(edges, &cells);
+        Look { table_offsets: table_offsets::<L>(job, sample), cells, edges, in_range, shown }
     }
 }
 
@@ -486,7 +442,7 @@ unsafe fn composite<L: Lanes, const LIT: bool>(
                 if L::bits(L::less(L::splat(0.0), opacity)) == 0 {
                     return;
                 }
-                let [scattered, highlight] = light_terms::<L>(job, light, &rays.step, &look.cells);
+                let [scattered, highlight] = terms::<L>(job, light, &rays.step, &look.cells, look.edges);
                 let (lit, white) = (L::mul(weight, scattered), L::mul(opacity, highlight));
                 *red = L::add(*red, L::add(L::mul(lit, r), white));
                 *green = L::add(*green, L::add(L::mul(lit, g), white));

@@ -58,22 +58,16 @@ pub(super) unsafe trait Lanes: Copy {
     /// Two neighbouring samples per ray, at `samples + offsets`.
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> Self::I;
     /// The weighted sum of each pair.
-    unsafe fn blend(pairs: Self::I, weights: Self::I) -> Self::F;
+    unsafe fn sums(pairs: Self::I, weights: Self::I) -> Self::I;
+    /// Of four neighbouring samples per ray, at `samples + offsets`: the weighted sum of the last two less that of
+    /// the first two.
+    unsafe fn slopes(samples: *const i16, offsets: &I8, weights: Self::I) -> Self::I;
+    unsafe fn sub_int(a: Self::I, b: Self::I) -> Self::I;
+    unsafe fn to_float(a: Self::I) -> Self::F;
     /// Offsets in bytes of rows of four numbers, from the rows' numbers cut to whole ones; 0 <= a < 2^27.
     unsafe fn row_offsets(a: Self::F) -> I8;
     /// Rows of a table of four numbers, one array per column.
     unsafe fn rows(table: *const [f32; 4], offsets: &I8) -> [Self::F; 4];
-    /// Says that gradients at `gradients + offsets` may be wanted soon.
-    unsafe fn prefetch(gradients: *const [i16; 4], offsets: &I8, plane: usize);
-    /// Gradients at `gradients + offsets`, interpolated along x, then z, then y.
-    unsafe fn gradients(
-        gradients: *const [i16; 4],
-        offsets: &I8,
-        strides: [usize; 2],
-        weights: Self::I,
-        wy: Self::F,
-        wz: Self::F,
-    ) -> [Self::F; 4];
 }
 
 /// Plain Rust.
@@ -96,8 +90,8 @@ fn mask_lane(set: bool) -> f32 {
 }
 
 #[inline(always)]
-fn blend_pair([a, b]: [i16; 2], weights: i32) -> f32 {
-    (i32::from(a) * i32::from(weights as i16) + i32::from(b) * (weights >> 16)) as f32
+fn sum_pair([a, b]: [i16; 2], weights: i32) -> i32 {
+    i32::from(a) * i32::from(weights as i16) + i32::from(b) * (weights >> 16)
 }
 
 // SAFETY: needs no instructions; pointers as the trait says.
@@ -177,11 +171,26 @@ unsafe impl Lanes for Plain {
     unsafe fn pairs(samples: *const i16, offsets: &I8) -> I8 {
         I8(offsets.0.map(|o| {
             // SAFETY: readable, as the trait demands.
-            unsafe { samples.add(o as usize).cast::<i32>().read_unaligned() }
+            unsafe { samples.wrapping_offset(o as isize).cast::<i32>().read_unaligned() }
         }))
     }
-    unsafe fn blend(pairs: I8, weights: I8) -> F8 {
-        F8(std::array::from_fn(|i| blend_pair([pairs.0[i] as i16, (pairs.0[i] >> 16) as i16], weights.0[i])))
+    unsafe fn sums(pairs: I8, weights: I8) -> I8 {
+        let pair = |i: usize| [pairs.0[i] as i16, (pairs.0[i] >> 16) as i16];
+        I8(std::array::from_fn(|i| sum_pair(pair(i), weights.0[i])))
+    }
+    unsafe fn slopes(samples: *const i16, offsets: &I8, weights: I8) -> I8 {
+        I8(std::array::from_fn(|i| {
+            let four = samples.wrapping_offset(offsets.0[i] as isize).cast::<[i16; 4]>();
+            // SAFETY: readable, as the trait demands.
+            let [a, b, c, d] = unsafe { four.read_unaligned() };
+            sum_pair([c, d], weights.0[i]) - sum_pair([a, b], weights.0[i])
+        }))
+    }
+    unsafe fn sub_int(a: I8, b: I8) -> I8 {
+        I8(std::array::from_fn(|i| a.0[i] - b.0[i]))
+    }
+    unsafe fn to_float(a: I8) -> F8 {
+        F8(a.0.map(|a| a as f32))
     }
     unsafe fn row_offsets(a: F8) -> I8 {
         I8(a.0.map(|x| (x as i32) << 4))
@@ -190,31 +199,6 @@ unsafe impl Lanes for Plain {
         // SAFETY: readable, as the trait demands.
         let rows = offsets.0.map(|o| unsafe { *table.byte_add(o as usize) });
         std::array::from_fn(|c| F8(rows.map(|r| r[c])))
-    }
-    unsafe fn prefetch(_: *const [i16; 4], _: &I8, _: usize) {}
-    unsafe fn gradients(
-        gradients: *const [i16; 4],
-        offsets: &I8,
-        [row, plane]: [usize; 2],
-        weights: I8,
-        wy: F8,
-        wz: F8,
-    ) -> [F8; 4] {
-        let mut columns = [F8::default(); 4];
-        for ray in 0..8 {
-            // SAFETY: readable, as the trait demands.
-            let at = |offset: usize| unsafe { *gradients.add(offsets.0[ray] as usize + offset) };
-            for (c, column) in columns.iter_mut().enumerate() {
-                let along_x = |o: usize| blend_pair([at(o)[c], at(o + 1)[c]], weights.0[ray]);
-                let along_z = |o: usize| {
-                    let (a, b) = (along_x(o), along_x(o + plane));
-                    a + (b - a) * wz.0[ray]
-                };
-                let (a, b) = (along_z(0), along_z(row));
-                column.0[ray] = a + (b - a) * wy.0[ray];
-            }
-        }
-        columns
     }
 }
 
@@ -252,7 +236,8 @@ mod avx2 {
     unsafe fn quad(samples: *const i16, offsets: &[i32; 8], first: usize) -> __m128i {
         // SAFETY: readable, as the trait demands.
         unsafe {
-            let at = |i: usize| samples.add(offsets[first + i] as usize).cast::<i32>().read_unaligned();
+            let sample = |i: usize| samples.wrapping_offset(offsets[first + i] as isize);
+            let at = |i: usize| sample(i).cast::<i32>().read_unaligned();
             let v = _mm_cvtsi32_si128(at(0));
             let v = _mm_insert_epi32::<1>(v, at(1));
             let v = _mm_insert_epi32::<2>(v, at(2));
@@ -260,48 +245,14 @@ mod avx2 {
         }
     }
 
-    /// The gradients of two rays: four numbers of ray `I` in the lower half, four of ray `I + 4` in the upper.
-    ///
-    /// * `at`: the first sample of each ray's cell
-    /// * `w`, `wy`, `wz`: those of all eight rays
+    /// Four neighbouring samples of each of four rays: `first`, `first + 1`, `first + 4` and `first + 5`.
     #[inline(always)]
-    unsafe fn two_gradients<const I: i32>(
-        at: [*const [i16; 4]; 2],
-        [row, plane]: [usize; 2],
-        w: __m256i,
-        wy: __m256,
-        wz: __m256,
-    ) -> __m256 {
+    unsafe fn fours(samples: *const i16, offsets: &[i32; 8], first: usize) -> __m256i {
         // SAFETY: readable, as the trait demands.
         unsafe {
-            let order = _mm256_broadcastsi128_si256(_mm_setr_epi8(
-                0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15,
-            ));
-            // The same number for all four of a ray: `0b_ii_ii_ii_ii` of each half.
-            let w = match I {
-                0 => _mm256_shuffle_epi32::<0x00>(w),
-                1 => _mm256_shuffle_epi32::<0x55>(w),
-                2 => _mm256_shuffle_epi32::<0xaa>(w),
-                _ => _mm256_shuffle_epi32::<0xff>(w),
-            };
-            let [wy, wz] = match I {
-                0 => [_mm256_permute_ps::<0x00>(wy), _mm256_permute_ps::<0x00>(wz)],
-                1 => [_mm256_permute_ps::<0x55>(wy), _mm256_permute_ps::<0x55>(wz)],
-                2 => [_mm256_permute_ps::<0xaa>(wy), _mm256_permute_ps::<0xaa>(wz)],
-                _ => [_mm256_permute_ps::<0xff>(wy), _mm256_permute_ps::<0xff>(wz)],
-            };
-            let [lower, upper] = at;
-            let along_x = |o: usize| {
-                let lower = _mm_loadu_si128(lower.add(o).cast());
-                let upper = _mm_loadu_si128(upper.add(o).cast());
-                let both = _mm256_shuffle_epi8(_mm256_set_m128i(upper, lower), order);
-                _mm256_cvtepi32_ps(_mm256_madd_epi16(both, w))
-            };
-            let (near, far) = (along_x(0), along_x(plane));
-            let a = _mm256_add_ps(near, _mm256_mul_ps(_mm256_sub_ps(far, near), wz));
-            let (near, far) = (along_x(row), along_x(plane + row));
-            let b = _mm256_add_ps(near, _mm256_mul_ps(_mm256_sub_ps(far, near), wz));
-            _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), wy))
+            let at = |i: usize| samples.wrapping_offset(offsets[i] as isize).cast::<f64>();
+            let two = |i: usize| _mm_castpd_si128(_mm_loadh_pd(_mm_load_sd(at(i)), at(i + 1)));
+            _mm256_set_m128i(two(first + 4), two(first))
         }
     }
 
@@ -399,9 +350,37 @@ mod avx2 {
             unsafe { _mm256_set_m128i(quad(samples, &offsets.0, 4), quad(samples, &offsets.0, 0)) }
         }
         #[inline(always)]
-        unsafe fn blend(pairs: __m256i, weights: __m256i) -> __m256 {
+        unsafe fn sums(pairs: __m256i, weights: __m256i) -> __m256i {
             // SAFETY: AVX2 is there.
-            unsafe { _mm256_cvtepi32_ps(_mm256_madd_epi16(pairs, weights)) }
+            unsafe { _mm256_madd_epi16(pairs, weights) }
+        }
+        #[inline(always)]
+        unsafe fn slopes(samples: *const i16, offsets: &I8, weights: __m256i) -> __m256i {
+            // SAFETY: readable, as the trait demands.
+            unsafe {
+                let negative = _mm256_sub_epi16(_mm256_setzero_si256(), weights);
+                let weights =
+                    [_mm256_unpacklo_epi32(negative, weights), _mm256_unpackhi_epi32(negative, weights)];
+                let sums = |i: usize| {
+                    let four = fours(samples, &offsets.0, 2 * i);
+                    _mm256_castsi256_ps(_mm256_madd_epi16(four, weights[i]))
+                };
+                let (a, b) = (sums(0), sums(1));
+                // The sums of the first two and of the last two, in the order of the rays.
+                let first = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(a, b));
+                let last = _mm256_castps_si256(_mm256_shuffle_ps::<0xdd>(a, b));
+                _mm256_add_epi32(first, last)
+            }
+        }
+        #[inline(always)]
+        unsafe fn sub_int(a: __m256i, b: __m256i) -> __m256i {
+            // SAFETY: AVX2 is there.
+            unsafe { _mm256_sub_epi32(a, b) }
+        }
+        #[inline(always)]
+        unsafe fn to_float(a: __m256i) -> __m256 {
+            // SAFETY: AVX2 is there.
+            unsafe { _mm256_cvtepi32_ps(a) }
         }
         #[inline(always)]
         unsafe fn row_offsets(a: __m256) -> I8 {
@@ -420,37 +399,6 @@ mod avx2 {
                     _mm256_set_m128(row(5), row(1)),
                     _mm256_set_m128(row(6), row(2)),
                     _mm256_set_m128(row(7), row(3)),
-                ])
-            }
-        }
-        #[inline(always)]
-        unsafe fn prefetch(gradients: *const [i16; 4], offsets: &I8, plane: usize) {
-            // SAFETY: prefetching reads nothing.
-            unsafe {
-                for i in 0..8 {
-                    let at = gradients.offset(offsets.0[i] as isize);
-                    _mm_prefetch::<_MM_HINT_T0>(at.cast());
-                    _mm_prefetch::<_MM_HINT_T0>(at.wrapping_add(plane).cast());
-                }
-            }
-        }
-        #[inline(always)]
-        unsafe fn gradients(
-            gradients: *const [i16; 4],
-            offsets: &I8,
-            strides: [usize; 2],
-            weights: __m256i,
-            wy: __m256,
-            wz: __m256,
-        ) -> [__m256; 4] {
-            // SAFETY: readable, as the trait demands.
-            unsafe {
-                let at = |i: usize| gradients.offset(offsets.0[i] as isize);
-                transpose([
-                    two_gradients::<0>([at(0), at(4)], strides, weights, wy, wz),
-                    two_gradients::<1>([at(1), at(5)], strides, weights, wy, wz),
-                    two_gradients::<2>([at(2), at(6)], strides, weights, wy, wz),
-                    two_gradients::<3>([at(3), at(7)], strides, weights, wy, wz),
                 ])
             }
         }

@@ -7,6 +7,7 @@
 mod blocks;
 mod kernel;
 mod lanes;
+mod light;
 mod table;
 mod tile;
 
@@ -19,7 +20,8 @@ use crate::prepared::BLOCK_EDGE;
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
 pub use kernel::kernel_name;
-use kernel::{BrickJob, LevelBox, LightJob, March};
+use kernel::{BrickJob, LevelBox, March};
+use light::LightJob;
 use table::Table;
 use tile::{RaySetup, Tile, Work};
 
@@ -79,8 +81,8 @@ impl<'a> Frame<'a> {
     /// [`RenderError`] if the scene cannot be drawn.
     pub fn new(scene: &'a Scene, options: CpuOptions) -> Result<Self, RenderError> {
         scene.check()?;
-        let mut gathered = Image::new(scene.size[0], scene.size[1])?;
-        gathered.pixels.fill([0.0, 0.0, 0.0, 1.0]);
+        let [width, height] = scene.size;
+        let gathered = Image { width, height, pixels: vec![[0.0, 0.0, 0.0, 1.0]; width * height] };
         Ok(Self { scene, options, gathered, is_begun: false, stats: RenderStats::default() })
     }
 
@@ -219,10 +221,6 @@ fn check_fits(scene: &Scene, prepared: &PreparedBrick) -> Result<(), RenderError
         let remedy = "prepare bricks with the scene's layout";
         return Err(RenderError::invalid("brick's layout", format!("{layout:?}"), remedy));
     }
-    if scene.lighting.is_some() && !prepared.is_lit() {
-        let remedy = "prepare bricks as lit to draw them with lighting";
-        return Err(RenderError::invalid("brick's gradients", "missing", remedy));
-    }
     Ok(())
 }
 
@@ -261,9 +259,8 @@ fn march_of<'a>(
     options: &CpuOptions,
 ) -> Work<'a> {
     let layout = prepared.layout();
-    let light = scene.lighting.zip(prepared.gradients.as_ref()).map(|(lighting, gradients)| LightJob {
+    let light = scene.lighting.map(|lighting| LightJob {
         lighting,
-        gradients,
         world_from_difference: scene.grid.spacing.map(|s| (scene.grid.smallest_spacing() / s) as f32),
         unit_from_step: (1.0 / scene.step_voxels) as f32,
     });

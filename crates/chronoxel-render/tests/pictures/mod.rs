@@ -90,7 +90,7 @@ impl Field {
         quantise: Quantise,
     ) -> DrawBrick {
         let brick = self.brick(node, &scene.layout, quantise);
-        let prepared = PreparedBrick::new(brick, &scene.layout, scene.lighting.is_some()).unwrap();
+        let prepared = PreparedBrick::new(brick, &scene.layout).unwrap();
         DrawBrick { node, region, how: DrawHow::Samples(Arc::new(prepared)) }
     }
 }
