@@ -85,6 +85,7 @@ impl Job {
             sample_type: types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64),
             num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
             num_threads: rayon::current_num_threads(),
+            source_bytes: series.working_bytes(),
         };
         let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {

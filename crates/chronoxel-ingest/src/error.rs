@@ -89,12 +89,14 @@ pub enum EncodeError {
         is_unfinished: bool,
     },
     /// The working set does not fit.
-    #[error("--memory {given} bytes: this grid needs at least {needed} bytes ({} MiB): raise it, or use smaller bricks", needed.div_ceil(1 << 20))]
+    #[error("--memory {given} bytes: this grid needs at least {needed} bytes ({} MiB{}): raise it, or use smaller bricks", needed.div_ceil(1 << 20), source_part(*source_bytes))]
     Memory {
         /// Bytes allowed.
         given: u64,
         /// Bytes needed at least.
         needed: u64,
+        /// How many of them the source needs, besides the slices that it hands over.
+        source_bytes: u64,
     },
     /// 16 bits cannot hold the error bound.
     #[error(
@@ -161,6 +163,14 @@ pub enum EncodeError {
         /// What happened.
         source: Box<EncodeError>,
     },
+}
+
+/// What the source needs of the memory, as a message may add it.
+fn source_part(bytes: u64) -> String {
+    if bytes == 0 {
+        return String::new();
+    }
+    format!("; {bytes} of them for the source, less where its chunks or dimensions are smaller")
 }
 
 /// Longest piece of a file that a message repeats, in characters.

@@ -31,6 +31,11 @@ pub trait TimeSeries: Send {
     /// The variables, at least one.
     fn variables(&self) -> &[Variable];
 
+    /// The most bytes held between and during reads, besides the slices handed over; small buffers do not count.
+    fn working_bytes(&self) -> u64 {
+        0
+    }
+
     /// Starts to read a step of a variable from its first slice.
     ///
     /// # Errors

@@ -304,7 +304,7 @@ fn several_variables_and_a_choice_of_them() {
 fn too_little_memory_is_an_error_that_says_how_much() {
     let mut series = MemorySeries::of([64, 64, 64], SampleType::F32, 1, |_, [x, _, _]| x as f64);
     let error = try_encoded(&mut series, &EncodeOptions { memory_bytes: 10_000, ..raw() }).err().unwrap();
-    let EncodeError::Memory { given, needed } = error else { panic!("{error}") };
+    let EncodeError::Memory { given, needed, .. } = error else { panic!("{error}") };
     assert_eq!(given, 10_000);
     assert!(try_encoded(&mut series, &EncodeOptions { memory_bytes: needed - 1, ..raw() }).is_err());
     assert!(try_encoded(&mut series, &EncodeOptions { memory_bytes: needed, ..raw() }).is_ok());

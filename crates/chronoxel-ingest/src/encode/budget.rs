@@ -40,6 +40,8 @@ pub struct Task<'a> {
     pub num_volumes: u64,
     /// Threads that code bricks.
     pub num_threads: usize,
+    /// What the source holds besides the slices that it hands over.
+    pub source_bytes: u64,
 }
 
 /// The largest portions that fit `memory_bytes`.
@@ -49,7 +51,11 @@ pub struct Task<'a> {
 pub fn portions(task: &Task<'_>, memory_bytes: u64) -> Result<Portions, EncodeError> {
     let needed = |slab, batch| task.needed(Portions { slab_slices: slab, batch_bricks: batch });
     if needed(1, 1) > memory_bytes {
-        return Err(EncodeError::Memory { given: memory_bytes, needed: needed(1, 1) });
+        return Err(EncodeError::Memory {
+            given: memory_bytes,
+            needed: needed(1, 1),
+            source_bytes: task.source_bytes,
+        });
     }
     let finest = &task.levels[0];
     let slice_bytes = area(finest) * task.held_bytes();
@@ -74,6 +80,7 @@ impl Task<'_> {
             self.slices_bytes(portions.slab_slices),
             self.bricks_bytes(portions.batch_bricks),
             self.writer_bytes(),
+            self.source_bytes,
         ];
         let sum = parts.into_iter().fold(0, u64::saturating_add);
         sum.saturating_add(sum / 16)
@@ -135,6 +142,7 @@ mod tests {
             sample_type: SampleType::F32,
             num_volumes: 1,
             num_threads: 2,
+            source_bytes: 0,
         };
         let at = |bytes| portions(&task, bytes);
         let ample = at(1 << 33).unwrap();
@@ -143,5 +151,11 @@ mod tests {
         // 35 slices of 4 MiB at least; an eighth of the step would be 512 MiB.
         assert!(needed > 35 << 22 && needed < 300 << 20, "{needed}");
         assert_eq!(at(needed).unwrap(), Portions { slab_slices: 1, batch_bricks: 1 });
+        // What the source holds is on top, with the sixteenth that goes with it.
+        let beside = Task { source_bytes: 1 << 30, ..task };
+        let Err(error) = portions(&beside, needed + (1 << 30)) else { panic!("a sixteenth is missing") };
+        let text = error.to_string();
+        assert!(text.contains("1073741824 of them for the source") && !text.contains('\n'), "{text}");
+        assert!(portions(&beside, needed + (17 << 26)).is_ok());
     }
 }

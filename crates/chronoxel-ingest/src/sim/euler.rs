@@ -67,6 +67,11 @@ impl Euler {
         Self { dims, spacing, gamma, boundaries, cells, turned, contiguous: 0, x_first: true }
     }
 
+    /// Bytes of the state in a box of these dimensions.
+    pub fn state_bytes(dims: [usize; 3]) -> u64 {
+        2 * size_of::<Conserved>() as u64 * dims.iter().map(|&n| n as u64).product::<u64>()
+    }
+
     /// Advances by `duration`, in steps as long as stability allows.
     pub fn advance(&mut self, duration: f64) {
         let mut left = duration;

@@ -37,11 +37,9 @@ impl Fourier {
     /// Plans for fields of these dimensions, each at least 4.
     pub fn new(dims: [usize; 3]) -> Self {
         let mut planner = FftPlannerScalar::new();
-        let [nx, ny, nz] = dims;
-        let modes = [cutoff(nx) + 1, 2 * cutoff(ny) + 1, 2 * cutoff(nz) + 1];
         Self {
             dims,
-            modes,
+            modes: modes_of(dims),
             to_modes: dims.map(|n| planner.plan_fft(n, FftDirection::Forward)),
             to_samples: dims.map(|n| planner.plan_fft(n, FftDirection::Inverse)),
         }
@@ -172,6 +170,11 @@ impl Fourier {
             },
         );
     }
+}
+
+/// Modes kept along x, y, z.
+pub(super) fn modes_of([nx, ny, nz]: [usize; 3]) -> [usize; 3] {
+    [cutoff(nx) + 1, 2 * cutoff(ny) + 1, 2 * cutoff(nz) + 1]
 }
 
 /// The largest wave number kept of n samples: products of two kept modes alias onto none of them.

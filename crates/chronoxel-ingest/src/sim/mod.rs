@@ -64,8 +64,18 @@ struct SimulatedSeries {
     grid: UniformGrid,
     times: TimeAxis,
     variable: Variable,
+    working: WorkingBytes,
     start: Box<dyn Fn() -> Box<dyn Run> + Send>,
     current: Option<(usize, Box<dyn Run>)>,
+}
+
+/// Memory of a simulation.
+#[derive(Debug, Clone, Copy)]
+struct WorkingBytes {
+    /// State, and buffers that all threads share.
+    shared: u64,
+    /// Buffers that each thread has.
+    per_thread: u64,
 }
 
 impl SimulatedSeries {
@@ -73,6 +83,7 @@ impl SimulatedSeries {
         grid: UniformGrid,
         times: TimeAxis,
         [name, units]: [&str; 2],
+        working: WorkingBytes,
         start: Box<dyn Fn() -> Box<dyn Run> + Send>,
     ) -> Self {
         let variable = Variable {
@@ -81,7 +92,7 @@ impl SimulatedSeries {
             sample_type: SampleType::F32,
             fill_value: None,
         };
-        Self { grid, times, variable, start, current: None }
+        Self { grid, times, variable, working, start, current: None }
     }
 
     /// The state at `step`; every step on the way is stopped at, so that the result does not depend on which
@@ -111,6 +122,10 @@ impl TimeSeries for SimulatedSeries {
 
     fn variables(&self) -> &[Variable] {
         std::slice::from_ref(&self.variable)
+    }
+
+    fn working_bytes(&self) -> u64 {
+        self.working.shared + self.working.per_thread * rayon::current_num_threads() as u64
     }
 
     fn open_step<'a>(

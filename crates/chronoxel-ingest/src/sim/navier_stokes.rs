@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use super::fourier::{Complex32, Fourier, Scratch};
+use super::fourier::{Complex32, Fourier, Scratch, modes_of};
 
 const ZERO: Complex32 = Complex32 { re: 0.0, im: 0.0 };
 /// Largest `dt · Σ |u_a| / spacing_a`; fourth-order steps of dealiased modes are stable up to 1.35.
@@ -31,6 +31,24 @@ impl NavierStokes {
         let fourier = Fourier::new(dims);
         let num_modes: usize = fourier.modes().iter().product();
         Self { dims, viscosity, fourier, velocity: vec![ZERO; 3 * num_modes] }
+    }
+
+    /// Bytes held at most while the flow advances: velocity, rate and two stages; columns of six fields and slabs of three.
+    pub fn step_bytes(dims: [usize; 3]) -> u64 {
+        let [mx, my, mz] = modes_of(dims).map(|n| n as u64);
+        size_of::<Complex32>() as u64 * mx * my * (4 * 3 * mz + (6 + 3) * dims[2] as u64)
+    }
+
+    /// Bytes held at most while the magnitude is made: velocity, columns of three fields, and the magnitude.
+    pub fn magnitude_bytes(dims: [usize; 3]) -> u64 {
+        let ([mx, my, mz], [nx, ny, nz]) = (modes_of(dims).map(|n| n as u64), dims.map(|n| n as u64));
+        size_of::<Complex32>() as u64 * mx * my * (3 * mz + 3 * nz) + size_of::<f32>() as u64 * nx * ny * nz
+    }
+
+    /// Bytes that each thread holds at most: slices of six fields, and a plane in transform.
+    pub fn thread_bytes(dims: [usize; 3]) -> u64 {
+        let ([mx, my, _], [nx, ny, nz]) = (modes_of(dims).map(|n| n as u64), dims.map(|n| n as u64));
+        size_of::<f32>() as u64 * 6 * nx * ny + size_of::<Complex32>() as u64 * (mx * ny).max(my * nz)
     }
 
     /// Adds the real velocity `2 Re(a exp(i k·x))`; nothing is added where the lattice does not hold k.

@@ -15,7 +15,7 @@ use libm::{cos, exp, pow, sin};
 
 use super::spec::Spec;
 use super::transport::{Material, Transport};
-use super::{Run, SimulatedSeries};
+use super::{Run, SimulatedSeries, WorkingBytes};
 use crate::SourceError;
 
 const LONGEST_SIDE_M: f64 = 1000.0;
@@ -51,6 +51,7 @@ pub(super) fn open(spec: &Spec) -> Result<SimulatedSeries, SourceError> {
         UniformGrid::new(dims, [0.5 * spacing; 3], [spacing; 3]).expect("checked dims"),
         TimeAxis::new(times, "h").expect("increasing times"),
         ["concentration", "mg/L"],
+        WorkingBytes { shared: GRAINS.len() as u64 * Transport::state_bytes(dims), per_thread: 0 },
         Box::new(move || Box::new(Plume::new(dims, spacing, limit))),
     ))
 }

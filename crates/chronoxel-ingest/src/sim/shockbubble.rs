@@ -13,7 +13,7 @@ use libm::{sqrt, tanh};
 
 use super::euler::{Boundary, Euler, Primitive};
 use super::spec::Spec;
-use super::{Run, SimulatedSeries};
+use super::{Run, SimulatedSeries, WorkingBytes};
 use crate::SourceError;
 
 const GAMMA: f64 = 1.4;
@@ -36,6 +36,7 @@ pub(super) fn open(spec: &Spec) -> Result<SimulatedSeries, SourceError> {
         UniformGrid::new(dims, [0.5 * spacing; 3], [spacing; 3]).expect("checked dims"),
         TimeAxis::regular(steps, DURATION / steps as f64, "").expect("increasing times"),
         ["density", "1"],
+        WorkingBytes { shared: Euler::state_bytes(dims), per_thread: 0 },
         Box::new(move || Box::new(ShockBubble::new(dims, spacing, mach))),
     ))
 }

@@ -108,6 +108,12 @@ impl Transport {
         }
     }
 
+    /// Bytes of the state on a lattice of these dimensions.
+    pub fn state_bytes(dims: [usize; 3]) -> u64 {
+        let [nx, ny, nz] = dims.map(|n| n as u64);
+        (2 * nx * ny * nz + nx * ny) * size_of::<f64>() as u64 + 2 * nz * size_of::<Patch>() as u64
+    }
+
     /// The longest step that keeps concentrations from turning negative, s.
     ///
     /// A cell gives away at most the fraction `ν (2 − ν) + 2 d` in a sweep (Courant number ν, diffusion

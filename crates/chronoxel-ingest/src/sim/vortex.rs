@@ -12,7 +12,7 @@ use chronoxel_core::{TimeAxis, UniformGrid};
 use super::fourier::cutoff;
 use super::navier_stokes::NavierStokes;
 use super::spec::Spec;
-use super::{Run, SimulatedSeries};
+use super::{Run, SimulatedSeries, WorkingBytes};
 use crate::SourceError;
 
 const DURATION_SECS: f64 = 6.0;
@@ -33,6 +33,7 @@ pub(super) fn open(spec: &Spec) -> Result<SimulatedSeries, SourceError> {
         grid,
         TimeAxis::regular(steps, DURATION_SECS / steps as f64, "s").expect("increasing times"),
         ["vorticity_magnitude", "1/s"],
+        working_bytes(dims),
         Box::new(move || Box::new(Vortex::new(dims, 1.0 / reynolds, seed))),
     ))
 }
@@ -42,6 +43,12 @@ pub(super) fn open(spec: &Spec) -> Result<SimulatedSeries, SourceError> {
 fn resolved_reynolds(dims: [usize; 3]) -> f64 {
     let smallest_cutoff = dims.map(cutoff).into_iter().min().expect("three axes");
     libm::round(2.5 * libm::pow(smallest_cutoff as f64, 4.0 / 3.0))
+}
+
+/// Memory at its peak: in a step, or when the magnitude is made.
+fn working_bytes(dims: [usize; 3]) -> WorkingBytes {
+    let (in_step, in_magnitude) = (NavierStokes::step_bytes(dims), NavierStokes::magnitude_bytes(dims));
+    WorkingBytes { shared: in_step.max(in_magnitude), per_thread: NavierStokes::thread_bytes(dims) }
 }
 
 struct Vortex {

@@ -19,6 +19,8 @@ pub(crate) struct FileSeries {
     variable_in_file: Vec<Vec<usize>>,
     /// First step of each file, and the number of steps at the end.
     first_steps: Vec<usize>,
+    /// The file that was read last.
+    last_file: usize,
 }
 
 impl FileSeries {
@@ -48,7 +50,7 @@ impl FileSeries {
             options.spacing.unwrap_or(first.grid.spacing),
         )?;
         let times = time_axis(&files, options)?;
-        Ok(Self { files, grid, times, variables, variable_in_file, first_steps })
+        Ok(Self { files, grid, times, variables, variable_in_file, first_steps, last_file: 0 })
     }
 }
 
@@ -65,12 +67,21 @@ impl TimeSeries for FileSeries {
         &self.variables
     }
 
+    fn working_bytes(&self) -> u64 {
+        // One file at a time holds anything.
+        self.files.iter().map(|file| file.working_bytes()).max().unwrap_or(0)
+    }
+
     fn open_step<'a>(
         &'a mut self,
         variable: usize,
         step: usize,
     ) -> Result<Box<dyn StepReader + 'a>, SourceError> {
         let file = self.first_steps.partition_point(|&first| first <= step) - 1;
+        if file != self.last_file {
+            self.files[self.last_file].forget();
+            self.last_file = file;
+        }
         let in_file = self.variable_in_file[file][variable];
         self.files[file].open_step(in_file, step - self.first_steps[file])
     }

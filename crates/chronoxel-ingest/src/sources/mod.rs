@@ -51,9 +51,16 @@ pub struct SourceOptions {
     pub variables: Vec<String>,
     /// The value that means "no data", in place of the files' own.
     pub fill_value: Option<f64>,
+    /// Memory of the whole run. Buffers that only save time take at most a quarter of it; what is read stays the same.
+    pub memory_bytes: Option<u64>,
 }
 
 impl SourceOptions {
+    /// The most bytes of a buffer that only saves time, and that has at most `most_bytes`.
+    fn buffer_bytes(&self, most_bytes: u64) -> u64 {
+        self.memory_bytes.map_or(most_bytes, |memory| most_bytes.min(memory / 4))
+    }
+
     /// Refuses the options that describe raw files, for a file that describes itself.
     fn check_describes_itself(&self, path: &Path, format: &str) -> Result<(), SourceError> {
         let given = [
@@ -111,7 +118,8 @@ fn open_simulation(
             format!("the source has {}", names.join(", ")),
         ));
     }
-    if (SourceOptions { variables: Vec::new(), ..options.clone() }) != SourceOptions::default() {
+    let about_files = SourceOptions { variables: Vec::new(), memory_bytes: None, ..options.clone() };
+    if about_files != SourceOptions::default() {
         let remedy = "a simulation takes its settings after its name, as in sim:plume?dims=64; leave out --dims, \
                       --dtype, --spacing and --dt";
         return Err(SourceError::argument("SOURCE", spec, remedy));
@@ -138,7 +146,7 @@ fn open_file(
     }
     match format {
         Format::Raw => raw::open(path, options),
-        Format::Npy => npy::open(path),
+        Format::Npy => npy::open(path, options),
         Format::Nrrd => nrrd::open(path),
         Format::Vti => vti::open(path),
         Format::Zarr => zarr::open(path, options),

@@ -2,7 +2,7 @@
 //!
 //! Specification: <https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>. Arrays in C order are
 //! read slice by slice; those in Fortran order (`fortran_order: True`, so z or t fastest) are turned around on the
-//! way, which takes a pass over the whole file for every [`TRANSPOSE_BYTES`] of a step.
+//! way, which takes a pass over the whole file for every [`MAX_TRANSPOSE_BYTES`] of a step, or less where memory is scarce.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -10,7 +10,8 @@ use std::path::Path;
 
 use chronoxel_core::{SampleType, Samples};
 
-use super::samples::{SampleFormat, SliceReader};
+use super::SourceOptions;
+use super::samples::{CHUNK_BYTES, SampleFormat, SliceReader};
 use super::volume_file::{
     FileHeader, FileTimes, VolumeFile, checked_grid, checked_product, checked_steps, open_at, open_regular,
 };
@@ -19,8 +20,8 @@ use crate::{SourceError, StepReader, Variable};
 /// The longest header that is read; that of a plain array has about 100 bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 16;
 
-/// Memory for the slices that are turned around in one pass over a file in Fortran order.
-const TRANSPOSE_BYTES: usize = 256 << 20;
+/// The most memory for the slices that are turned around in one pass over a file in Fortran order.
+const MAX_TRANSPOSE_BYTES: u64 = 256 << 20;
 
 /// Bytes read at a time from a file in Fortran order.
 const READ_BYTES: usize = 1 << 18;
@@ -32,10 +33,11 @@ struct NpyFile {
     big_endian: bool,
     fortran_order: bool,
     data_start: u64,
+    transpose_bytes: u64,
 }
 
 /// Opens a `.npy` file.
-pub(crate) fn open(path: &Path) -> Result<Box<dyn VolumeFile>, SourceError> {
+pub(crate) fn open(path: &Path, options: &SourceOptions) -> Result<Box<dyn VolumeFile>, SourceError> {
     let (file, file_bytes) = open_regular(path)?;
     let (text, data_start) = read_header(path, file, file_bytes)?;
     let entries = Entries { path, text: &text };
@@ -69,7 +71,8 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn VolumeFile>, SourceError> {
         times: FileTimes::Unknown,
         time_units: String::new(),
     };
-    Ok(Box::new(NpyFile { header, sample_type, big_endian, fortran_order, data_start }))
+    let transpose_bytes = options.buffer_bytes(MAX_TRANSPOSE_BYTES);
+    Ok(Box::new(NpyFile { header, sample_type, big_endian, fortran_order, data_start, transpose_bytes }))
 }
 
 /// The header's text and where the data begin.
@@ -183,6 +186,18 @@ impl VolumeFile for NpyFile {
         &self.header
     }
 
+    fn working_bytes(&self) -> u64 {
+        if !self.fortran_order {
+            return 0;
+        }
+        let format = self.format(0);
+        let [nx, ny, nz] = self.header.grid.dims;
+        // The slices turned around; a row of them, and the bytes that it is read through.
+        let row_samples = self.slab_slices(nz);
+        let read_bytes = format.point_bytes().max(CHUNK_BYTES) + READ_BYTES;
+        ((nx * ny + 1) * row_samples * format.held_bytes() + read_bytes) as u64
+    }
+
     fn open_step<'a>(
         &'a mut self,
         _variable: usize,
@@ -190,11 +205,8 @@ impl VolumeFile for NpyFile {
     ) -> Result<Box<dyn StepReader + 'a>, SourceError> {
         let path = &self.header.path;
         let [nx, ny, nz] = self.header.grid.dims;
-        let mut format = SampleFormat::scalar(self.sample_type, self.big_endian);
+        let format = self.format(step);
         if self.fortran_order {
-            // t is the fastest axis of the file: the steps of one point lie side by side.
-            format.num_components = self.header.num_steps;
-            format.component = step;
             return Ok(Box::new(TransposedReader {
                 file: self,
                 format,
@@ -211,6 +223,26 @@ impl VolumeFile for NpyFile {
             format,
             slice_samples: nx * ny,
         }))
+    }
+}
+
+impl NpyFile {
+    /// How the samples of a step lie.
+    fn format(&self, step: usize) -> SampleFormat {
+        let mut format = SampleFormat::scalar(self.sample_type, self.big_endian);
+        if self.fortran_order {
+            // t is the fastest axis of the file: the steps of one point lie side by side.
+            format.num_components = self.header.num_steps;
+            format.component = step;
+        }
+        format
+    }
+
+    /// Slices that one pass over a file in Fortran order turns around, of those left; at least one.
+    fn slab_slices(&self, slices_left: usize) -> usize {
+        let [nx, ny, _] = self.header.grid.dims;
+        let slice_bytes = (nx * ny * self.format(0).held_bytes()) as u64;
+        (self.transpose_bytes / slice_bytes).clamp(1, slices_left as u64) as usize
     }
 }
 
@@ -250,9 +282,15 @@ impl TransposedReader<'_> {
     fn read_slab(&mut self) -> Result<(), SourceError> {
         let [nx, ny, nz] = self.file.header.grid.dims;
         let path = &self.file.header.path;
-        let num_slices = (TRANSPOSE_BYTES / 8 / (nx * ny)).clamp(1, nz - self.next_slice);
+        let num_slices = self.file.slab_slices(nz - self.next_slice);
         self.slab_start = self.next_slice;
-        let mut slab = vec![0.0; num_slices * nx * ny];
+        // The slab before goes first: there is memory for one.
+        self.slab = self.format.empty();
+        let num_samples = num_slices * nx * ny;
+        let mut slab = match self.format.empty() {
+            Samples::F32(_) => Samples::F32(vec![0.0; num_samples]),
+            Samples::F64(_) => Samples::F64(vec![0.0; num_samples]),
+        };
         let point_bytes = self.format.point_bytes();
         let before = (self.next_slice * point_bytes) as i64;
         let after = ((nz - self.next_slice - num_slices) * point_bytes) as i64;
@@ -268,14 +306,16 @@ impl TransposedReader<'_> {
             for y in 0..ny {
                 skip(&mut row_reader, before)?;
                 let row = row_reader.read_slices(1)?;
-                (0..num_slices).for_each(|z| slab[(z * ny + y) * nx + x] = row.get(z));
+                let places = (0..num_slices).map(|z| (z * ny + y) * nx + x);
+                match (&mut slab, &row) {
+                    (Samples::F32(to), Samples::F32(row)) => places.zip(row).for_each(|(at, v)| to[at] = *v),
+                    (Samples::F64(to), Samples::F64(row)) => places.zip(row).for_each(|(at, v)| to[at] = *v),
+                    _ => unreachable!("both are of the kind that the sample type becomes"),
+                }
                 skip(&mut row_reader, after)?;
             }
         }
-        self.slab = match self.format.empty() {
-            Samples::F32(_) => Samples::F32(slab.iter().map(|&v| v as f32).collect()),
-            Samples::F64(_) => Samples::F64(slab),
-        };
+        self.slab = slab;
         Ok(())
     }
 }

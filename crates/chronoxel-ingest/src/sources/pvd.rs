@@ -66,6 +66,14 @@ impl VolumeFile for TimedFile {
         &self.header
     }
 
+    fn working_bytes(&self) -> u64 {
+        self.file.working_bytes()
+    }
+
+    fn forget(&mut self) {
+        self.file.forget();
+    }
+
     fn open_step<'a>(
         &'a mut self,
         variable: usize,

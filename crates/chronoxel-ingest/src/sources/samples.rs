@@ -8,7 +8,7 @@ use chronoxel_core::{SampleType, Samples};
 use crate::{SourceError, StepReader};
 
 /// Bytes that are read and converted at a time: small enough to stay in the cache.
-const CHUNK_BYTES: usize = 256 << 10;
+pub(crate) const CHUNK_BYTES: usize = 256 << 10;
 
 /// The largest integer below which every integer is an `f64`.
 const MAX_EXACT_INTEGER: u64 = 1 << 53;
@@ -33,6 +33,11 @@ impl SampleFormat {
     /// Bytes of one point: all its components.
     pub fn point_bytes(&self) -> usize {
         self.sample_type.num_bytes() * self.num_components
+    }
+
+    /// Bytes of one sample in the kind of samples that the type becomes.
+    pub fn held_bytes(&self) -> usize {
+        if self.sample_type.fits_f32() { 4 } else { 8 }
     }
 
     /// An empty run of the kind of samples that the type becomes.

@@ -43,6 +43,14 @@ pub(crate) trait VolumeFile: Send {
     /// What its header says.
     fn header(&self) -> &FileHeader;
 
+    /// As [`crate::TimeSeries::working_bytes`].
+    fn working_bytes(&self) -> u64 {
+        0
+    }
+
+    /// Drops what is kept between reads, before another file is read.
+    fn forget(&mut self) {}
+
     /// Starts to read a step of a variable; both are in range.
     fn open_step<'a>(
         &'a mut self,

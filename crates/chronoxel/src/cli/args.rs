@@ -73,12 +73,12 @@ pub struct SourceHints {
 }
 
 impl SourceArgs {
-    /// Opens the source.
+    /// Opens the source, to be read within the memory that the user gave.
     ///
     /// # Errors
     /// Whatever keeps it from being read.
-    pub fn open(&self) -> anyhow::Result<Box<dyn TimeSeries>> {
-        self.hints.open(&self.source)
+    pub fn open(&self, common: &Common) -> anyhow::Result<Box<dyn TimeSeries>> {
+        self.hints.open(common, &self.source)
     }
 }
 
@@ -87,7 +87,7 @@ impl SourceHints {
     ///
     /// # Errors
     /// Whatever keeps it from being read.
-    pub fn open(&self, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
+    pub fn open(&self, common: &Common, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
         let options = SourceOptions {
             dims: self.dims,
             sample_type: self.dtype,
@@ -98,6 +98,7 @@ impl SourceHints {
             dt: self.dt,
             variables: self.variable.clone(),
             fill_value: self.fill_value,
+            memory_bytes: Some(common.memory.0),
         };
         Ok(sources::open(source, &options)?)
     }

@@ -103,7 +103,7 @@ pub struct EncodeSummary {
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
-    let mut series = args.source.open()?;
+    let mut series = args.source.open(common)?;
     let options = EncodeOptions {
         codec: match args.codec {
             CodecName::Auto => Codec::Auto,

@@ -57,7 +57,7 @@ struct InfoReport {
 pub fn run(common: &Common, args: &InfoArgs) -> anyhow::Result<()> {
     let report = match &args.source.source[..] {
         [one] if one.ends_with(".cxl") || one.ends_with(".cxl/") => store_report(Path::new(one))?,
-        _ => source_report(args)?,
+        _ => source_report(common, args)?,
     };
     match common.json {
         true => output::json(&report),
@@ -132,8 +132,8 @@ fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
     })
 }
 
-fn source_report(args: &InfoArgs) -> anyhow::Result<InfoReport> {
-    let mut series = args.source.open()?;
+fn source_report(common: &Common, args: &InfoArgs) -> anyhow::Result<InfoReport> {
+    let mut series = args.source.open(common)?;
     let grid = *series.grid();
     let TimeAxis { times, units } = series.times().clone();
     let step_bytes: u64 = series.variables().iter().map(|v| v.sample_type.num_bytes() as u64).sum::<u64>()

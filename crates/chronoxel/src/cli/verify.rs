@@ -80,7 +80,7 @@ fn measure_against(
     args: &VerifyArgs,
     report: &mut VerifyReport,
 ) -> anyhow::Result<()> {
-    let mut series = args.hints.open(&args.against)?;
+    let mut series = args.hints.open(common, &args.against)?;
     let num_finished = store.header().num_steps_finished as usize;
     let steps = match args.steps {
         Some(range) => range.resolve(num_finished)?,

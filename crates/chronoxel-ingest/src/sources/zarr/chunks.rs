@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use chronoxel_core::Samples;
 
-use super::codecs::{checked_crc, decode, most_encoded_bytes};
+use super::codecs::{checked_crc, decode, most_bytes_while_decoding, most_encoded_bytes};
 use super::metadata::{ArrayMetadata, ShardIndex};
 use crate::SourceError;
 use crate::sources::samples::SampleFormat;
@@ -35,6 +35,21 @@ impl<'a> ChunkReader<'a> {
     /// A reader of an array's chunks.
     pub fn new(array: &'a ArrayMetadata) -> Self {
         Self { array, format: SampleFormat::scalar(array.sample_type, array.big_endian), shard: None }
+    }
+
+    /// The most bytes that reading a chunk takes: its bytes while they are decoded, or beside its samples, and the
+    /// index of its shard.
+    pub fn working_bytes(&self) -> u64 {
+        let chunk = self.array.chunk_bytes() as u64;
+        let samples = chunk / self.array.sample_type.num_bytes() as u64 * self.format.held_bytes() as u64;
+        let decoding = most_bytes_while_decoding(&self.array.codecs, chunk);
+        let per_shard = self.array.file_chunk.iter().zip(&self.array.chunk).map(|(file, inner)| file / inner);
+        let index = match self.array.shard_index {
+            // Its bytes, and its entries.
+            Some(_) => per_shard.fold(2 * 16, u64::saturating_mul),
+            None => 0,
+        };
+        decoding.max(chunk + samples).saturating_add(index)
     }
 
     /// The samples of a chunk in the order in which they are stored; `None` where it is absent.
@@ -81,7 +96,7 @@ impl<'a> ChunkReader<'a> {
             let problem = format!("{file_bytes} bytes for a chunk of {}", self.array.chunk_bytes());
             return Err(self.damaged(&path, place, problem));
         }
-        let mut encoded = Vec::new();
+        let mut encoded = Vec::with_capacity(file_bytes as usize);
         file.take(file_bytes).read_to_end(&mut encoded).map_err(|e| SourceError::io(&path, "read", e))?;
         Ok(Some((path, encoded)))
     }
@@ -114,7 +129,7 @@ impl<'a> ChunkReader<'a> {
             let problem = format!("{length} bytes at {position} of a shard of {}", shard.file_bytes);
             return Err(self.damaged(&path, place, problem));
         }
-        let mut encoded = Vec::new();
+        let mut encoded = Vec::with_capacity(length as usize);
         shard.file.seek(SeekFrom::Start(position)).map_err(|e| SourceError::io(&path, "seek in", e))?;
         let read = (&shard.file).take(length).read_to_end(&mut encoded);
         read.map_err(|e| SourceError::io(&path, "read", e))?;

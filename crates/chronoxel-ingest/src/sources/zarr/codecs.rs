@@ -70,6 +70,19 @@ pub(crate) fn most_encoded_bytes(num_bytes: usize) -> usize {
     num_bytes + num_bytes / 8 + (64 << 10)
 }
 
+/// The most bytes that [`decode`] holds at a time for a chunk of `num_bytes`, the encoded ones included.
+pub(crate) fn most_bytes_while_decoding(codecs: &[BytesCodec], num_bytes: u64) -> u64 {
+    let encoded = most_encoded_bytes(num_bytes as usize) as u64;
+    match codecs {
+        [] => encoded,
+        // A block that is shuffled may be as long as the chunk.
+        [BytesCodec::Blosc] => encoded + 2 * num_bytes,
+        [BytesCodec::Blosc, ..] => 2 * encoded + num_bytes,
+        [_] => encoded + num_bytes,
+        _ => 2 * encoded,
+    }
+}
+
 /// The bytes before their CRC-32C, once it was found right.
 pub(crate) fn checked_crc(encoded: &[u8]) -> Result<&[u8], String> {
     let (bytes, given) = encoded.split_last_chunk::<4>().ok_or("a chunk shorter than its checksum")?;

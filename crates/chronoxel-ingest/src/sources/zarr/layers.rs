@@ -18,6 +18,25 @@ pub(crate) struct KeptLayers {
     layers: Vec<Option<Samples>>,
 }
 
+/// Bytes of one layer of chunks, cut to the volume.
+pub(crate) fn layer_bytes(array: &ArrayMetadata, dims: [usize; 3]) -> u64 {
+    let height = array.chunk[array.chunk.len() - 3].min(dims[2] as u64);
+    bytes_of(array, [dims[0] as u64, dims[1] as u64, height])
+}
+
+/// Bytes of the steps that one row of chunks holds, where they are kept: several, and at most `most_bytes`.
+pub(crate) fn kept_bytes(array: &ArrayMetadata, dims: [usize; 3], most_bytes: u64) -> Option<u64> {
+    let per_chunk = if array.shape.len() == 4 { array.chunk[0].min(array.shape[0]) } else { 1 };
+    let bytes = bytes_of(array, dims.map(|n| n as u64)).saturating_mul(per_chunk);
+    (per_chunk > 1 && bytes <= most_bytes).then_some(bytes)
+}
+
+/// Bytes of a box of decoded samples.
+fn bytes_of(array: &ArrayMetadata, size: [u64; 3]) -> u64 {
+    let held = SampleFormat::scalar(array.sample_type, false).held_bytes();
+    size.into_iter().fold(held as u64, u64::saturating_mul)
+}
+
 /// Reads a step layer by layer.
 pub(crate) struct LayerReader<'a> {
     array: &'a ArrayMetadata,
@@ -42,17 +61,12 @@ impl<'a> LayerReader<'a> {
         dims: [usize; 3],
         step: usize,
     ) -> Self {
-        let has_steps = array.shape.len() == 4;
-        let per_chunk = if has_steps { array.chunk[0].min(array.shape[0]) } else { 1 };
-        let bytes =
-            dims.iter().fold(8, |bytes: u64, n| bytes.saturating_mul(*n as u64)).saturating_mul(per_chunk);
-        let keeps = per_chunk > 1 && bytes <= most_kept_bytes;
         Self {
             array,
             chunks: ChunkReader::new(array),
-            kept: keeps.then_some(kept),
+            kept: kept_bytes(array, dims, most_kept_bytes).map(|_| kept),
             dims,
-            step: has_steps.then_some(step),
+            step: (array.shape.len() == 4).then_some(step),
             next_slice: 0,
             layer_start: 0,
             layer: empty(array),
@@ -109,6 +123,8 @@ impl LayerReader<'_> {
         self.layer_start = chunk_z * cz;
         let ct = if self.step.is_some() { self.array.chunk[0] as usize } else { 1 };
         let (chunk_t, row) = (self.step.unwrap_or(0) / ct, self.step.unwrap_or(0) % ct);
+        // The layer before goes first: there is memory for one.
+        self.layer = empty(self.array);
         let Some(kept) = self.kept.take() else {
             self.layer = self.decode_layer(chunk_t, chunk_z, row..row + 1)?;
             return Ok(());
@@ -121,7 +137,6 @@ impl LayerReader<'_> {
             kept.layers[chunk_z] = Some(self.decode_layer(chunk_t, chunk_z, 0..num_steps)?);
         }
         let step_samples = cz.min(nz - self.layer_start) * ny * nx;
-        self.layer = empty(self.array);
         if let Some(all) = &kept.layers[chunk_z] {
             append(&mut self.layer, all, row * step_samples..(row + 1) * step_samples);
         }

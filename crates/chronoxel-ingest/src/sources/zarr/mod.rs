@@ -20,7 +20,7 @@ use self::chunks::ChunkReader;
 use self::layers::{KeptLayers, LayerReader};
 use self::metadata::{ArrayMetadata, Node};
 use super::SourceOptions;
-use super::volume_file::{FileHeader, FileTimes, VolumeFile, checked_grid, checked_product, checked_steps};
+use super::volume_file::{FileHeader, FileTimes, VolumeFile, checked_grid, checked_steps};
 use crate::{SourceError, StepReader, Variable};
 
 /// The most bytes that the chunks of one layer of a volume may have, decoded.
@@ -41,6 +41,8 @@ struct ZarrGroup {
     arrays: Vec<ArrayMetadata>,
     /// Per array: decoded layers of a run of steps.
     kept: Vec<KeptLayers>,
+    /// The most bytes that each array may keep.
+    most_kept_bytes: u64,
 }
 
 /// Opens an array or a group.
@@ -81,7 +83,7 @@ pub(crate) fn open(path: &Path, options: &SourceOptions) -> Result<Box<dyn Volum
             return Err(SourceError::corrupt(&array.path, "shape", format!("{:?}", array.shape), problem));
         }
         array.check_not_packed()?;
-        check_layer(array, &grid, has_steps)?;
+        check_layer(array, &grid)?;
         variables.push(Variable {
             name: name.clone(),
             units: array.text_attribute("units").unwrap_or_default().to_owned(),
@@ -92,7 +94,8 @@ pub(crate) fn open(path: &Path, options: &SourceOptions) -> Result<Box<dyn Volum
     let header = FileHeader { path: path.to_owned(), grid, variables, num_steps, times, time_units };
     let arrays: Vec<ArrayMetadata> = arrays.into_iter().map(|(_, array)| array).collect();
     let kept = arrays.iter().map(|_| KeptLayers::default()).collect();
-    Ok(Box::new(ZarrGroup { header, arrays, kept }))
+    let most_kept_bytes = options.buffer_bytes(MAX_KEPT_BYTES) / arrays.len() as u64;
+    Ok(Box::new(ZarrGroup { header, arrays, kept, most_kept_bytes }))
 }
 
 /// The arrays of three or four axes right inside a group, by name; only those wanted.
@@ -148,11 +151,8 @@ fn check_axes(array: &ArrayMetadata) -> Result<bool, SourceError> {
 }
 
 /// Refuses arrays whose chunks make a layer too large for memory.
-fn check_layer(array: &ArrayMetadata, grid: &UniformGrid, has_steps: bool) -> Result<(), SourceError> {
-    let [nx, ny, nz] = grid.dims.map(|n| n as u64);
-    let height = array.chunk[usize::from(has_steps)].min(nz);
-    let factors = [height, ny, nx, if array.sample_type.fits_f32() { 4 } else { 8 }];
-    let layer_bytes = checked_product(&array.path, "shape", factors)?;
+fn check_layer(array: &ArrayMetadata, grid: &UniformGrid) -> Result<(), SourceError> {
+    let layer_bytes = layers::layer_bytes(array, grid.dims);
     if layer_bytes > MAX_LAYER_BYTES {
         let remedy = format!(
             "layers of chunks of at most {MAX_LAYER_BYTES} bytes are; write chunks that are flatter in z"
@@ -259,13 +259,27 @@ impl VolumeFile for ZarrGroup {
         &self.header
     }
 
+    fn working_bytes(&self) -> u64 {
+        let dims = self.header.grid.dims;
+        let kept =
+            self.arrays.iter().filter_map(|array| layers::kept_bytes(array, dims, self.most_kept_bytes));
+        // One array at a time is read, layer after layer.
+        let read = self.arrays.iter().map(|array| {
+            layers::layer_bytes(array, dims).saturating_add(ChunkReader::new(array).working_bytes())
+        });
+        kept.fold(read.max().unwrap_or(0), u64::saturating_add)
+    }
+
+    fn forget(&mut self) {
+        self.kept.iter_mut().for_each(|kept| *kept = KeptLayers::default());
+    }
+
     fn open_step<'a>(
         &'a mut self,
         variable: usize,
         step: usize,
     ) -> Result<Box<dyn StepReader + 'a>, SourceError> {
-        let most_kept_bytes = MAX_KEPT_BYTES / self.arrays.len() as u64;
         let (array, kept) = (&self.arrays[variable], &mut self.kept[variable]);
-        Ok(Box::new(LayerReader::new(array, kept, most_kept_bytes, self.header.grid.dims, step)))
+        Ok(Box::new(LayerReader::new(array, kept, self.most_kept_bytes, self.header.grid.dims, step)))
     }
 }
