@@ -117,12 +117,15 @@ pub struct Session {
     bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
     spans: ByteLru<(u8, u32), Spans>,
     portion_bytes: usize,
+    memory_bytes: u64,
 }
 
 /// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
 const RESIDENT_SHARE: f64 = 0.6;
 /// Share of the memory budget that the bricks of one portion of a picture may take.
 const PORTION_SHARE: f64 = 0.25;
+/// Bytes that a pixel takes while a picture is made: what is gathered, tiles in flight, and the bytes shown.
+const BYTES_PER_PIXEL: u64 = 40;
 /// Share for the records of spans.
 const SPANS_SHARE: f64 = 0.05;
 
@@ -151,6 +154,7 @@ impl Session {
             bricks: ByteLru::new(share(RESIDENT_SHARE)),
             spans: ByteLru::new(share(SPANS_SHARE)),
             portion_bytes: share(PORTION_SHARE),
+            memory_bytes,
         })
     }
 
@@ -204,6 +208,11 @@ impl Session {
         let num_steps = self.store.header().num_steps_finished as usize;
         if step >= num_steps {
             bail!("step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
+        }
+        let picture_bytes = view.size[0] as u64 * view.size[1] as u64 * BYTES_PER_PIXEL;
+        if picture_bytes > self.memory_bytes {
+            let [width, height] = view.size;
+            bail!("--size {width}x{height} takes {picture_bytes} bytes, more than --memory allows; raise it");
         }
         let step = step as u32;
         let start = Instant::now();

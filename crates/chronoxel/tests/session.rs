@@ -17,7 +17,7 @@ fn encoded(folder: &Path) -> std::path::PathBuf {
 
 fn view_of(session: &Session, lighting: Option<Lighting>) -> View {
     let grid = session.store().header().grid;
-    let size = [120, 90];
+    let size = [60, 45];
     let transfer = TransferFunction::built_in("filled", ColorMap::Viridis).unwrap();
     View {
         camera: orbit_camera(&grid, [35.0, 25.0], 1.2, Some(30.0), size).unwrap(),
@@ -35,7 +35,7 @@ fn pictures_do_not_depend_on_memory() {
     let folder = tempfile::tempdir().unwrap();
     let store = encoded(folder.path());
     for lighting in [None, Some(Lighting::default())] {
-        let pictures = [1u64 << 30, 100_000].map(|memory_bytes| {
+        let pictures = [1u64 << 30, 110_000].map(|memory_bytes| {
             let mut session = Session::open(&store, None, memory_bytes).unwrap();
             let view = view_of(&session, lighting);
             session.draw(&view, 2).unwrap()

@@ -16,6 +16,7 @@ use super::{
     args::{Common, StepRange},
     output,
 };
+use crate::bytes::ByteSize;
 use crate::{
     interrupt::{self, CleanUp},
     progress::{Counted, Progress},
@@ -49,6 +50,20 @@ struct ExportReport {
     sample_type: String,
 }
 
+/// A step is decoded whole and cast to the sample type: bytes per sample that this takes.
+const BYTES_PER_SAMPLE: u64 = 12;
+
+fn check_memory(common: &Common, num_samples: u64) -> anyhow::Result<()> {
+    let needed = num_samples.saturating_mul(BYTES_PER_SAMPLE);
+    anyhow::ensure!(
+        needed <= common.memory.0,
+        "--memory {}: exporting a step of {num_samples} samples takes {}; raise it",
+        common.memory,
+        ByteSize(needed)
+    );
+    Ok(())
+}
+
 /// Runs the verb.
 pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
     let store = Store::open(&args.store)?;
@@ -60,6 +75,7 @@ pub fn run(common: &Common, args: &ExportArgs) -> anyhow::Result<()> {
         Some(range) => range.resolve(num_finished)?,
         None => (0..num_finished).collect(),
     };
+    check_memory(common, header.grid.num_samples() as u64)?;
     let times = steps.iter().map(|&step| header.times.times[step]).collect();
     let description = ExportDescription {
         grid: header.grid,

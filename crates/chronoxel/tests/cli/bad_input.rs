@@ -155,6 +155,14 @@ fn budgets_and_bounds_that_cannot_be_kept_are_refused() {
         "encode wave.npy -o out.cxl --max-error 1e-9",
         &["--max-error", "wave", "step 0", "raise it"],
     );
+    write_f32(&folder.join("more.npy"), [40, 40, 40], |[x, y, z]| (x + y + z) as f32);
+    done(folder, "encode more.npy -o more.cxl -q");
+    refused(folder, "export more.cxl -o more.vti --memory 500KiB", &["--memory", "64000 samples"]);
+    refused(
+        folder,
+        "render more.cxl -o more.png --size 400x400 --memory 1MiB",
+        &["--size 400x400", "--memory"],
+    );
 }
 
 #[test]

@@ -213,7 +213,7 @@ fn threads_and_memory_do_not_change_a_pixel() {
     let folder = folder.path();
     store_in(folder);
     let pictures = ["--threads 1", "--threads 3", "--threads 2 --memory 100KiB"].map(|options| {
-        done(folder, &format!("render run.cxl -o a.png --size 120x90 -q {options}"));
+        done(folder, &format!("render run.cxl -o a.png --size 48x36 -q {options}"));
         fs::read(folder.join("a.png")).unwrap()
     });
     assert!(pictures[0] == pictures[1] && pictures[0] == pictures[2]);
