@@ -32,7 +32,7 @@ enum DemoSize {
     Tiny,
     /// Done within a minute.
     Small,
-    /// The size of published data sets; some minutes.
+    /// Twice as fine, and twice as many steps; several minutes.
     Full,
 }
 
