@@ -18,6 +18,8 @@ use chronoxel_render::{CpuOptions, DrawBrick, DrawHow, Frame, PreparedBrick, Ren
 use chronoxel_store::{Store, StoreError};
 use chronoxel_stream::{DrawItem, How, Selector, ViewVolume};
 
+use crate::blend::{brick_between, record_between};
+
 /// What a picture shows, but for the step.
 #[derive(Debug, Clone)]
 pub struct View {
@@ -35,6 +37,40 @@ pub struct View {
     pub opacity_unit: f64,
     /// Finest level to draw.
     pub level: u8,
+}
+
+/// A moment of a series: a step, or a place between it and the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// The step, or the earlier of the two.
+    pub step: usize,
+    /// Weight of the next step, in [0, 1).
+    pub weight: f64,
+}
+
+impl Moment {
+    /// The moment of a step.
+    pub fn at(step: usize) -> Self {
+        Self { step, weight: 0.0 }
+    }
+
+    /// The moment of a time: between the two steps around it, or the first or last step beyond them.
+    pub fn of_time(times: &[f64], time: f64) -> Self {
+        let after = times.partition_point(|&t| t <= time);
+        match after {
+            0 => Self::at(0),
+            n if n == times.len() => Self::at(n - 1),
+            n => Self { step: n - 1, weight: (time - times[n - 1]) / (times[n] - times[n - 1]) },
+        }
+    }
+
+    /// Its time, on the axis of a series.
+    pub fn time(self, times: &[f64]) -> f64 {
+        match self.weight > 0.0 {
+            false => times[self.step],
+            true => times[self.step] + self.weight * (times[self.step + 1] - times[self.step]),
+        }
+    }
 }
 
 /// Where the bricks of a picture came from.
@@ -205,9 +241,19 @@ impl Session {
     /// # Errors
     /// If a step is out of range, the view cannot be drawn, or damage leaves nothing to draw from.
     pub fn draw(&mut self, view: &View, step: usize) -> anyhow::Result<Picture> {
+        self.draw_moment(view, Moment::at(step))
+    }
+
+    /// Draws a moment at a step or between two. Between steps nothing is kept in memory, and a damaged brick is an error.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_moment(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture> {
         let num_steps = self.store.header().num_steps_finished as usize;
-        if step >= num_steps {
-            bail!("step {step} is not in the store: its steps are 0 to {}", num_steps - 1);
+        let Moment { step, weight } = moment;
+        let last = step + usize::from(weight > 0.0);
+        if last >= num_steps || !(0.0..1.0).contains(&weight) {
+            bail!("step {last} is not in the store: its steps are 0 to {}", num_steps - 1);
         }
         let picture_bytes = view.size[0] as u64 * view.size[1] as u64 * BYTES_PER_PIXEL;
         if picture_bytes > self.memory_bytes {
@@ -217,7 +263,7 @@ impl Session {
         let step = step as u32;
         let start = Instant::now();
         let mut faults = Faults::default();
-        let items = self.select(view, step, &mut faults)?;
+        let items = self.select(view, step, weight, &mut faults)?;
         let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
 
         let scene = self.scene(view);
@@ -228,7 +274,10 @@ impl Session {
             let start = Instant::now();
             let (portion, after) = rest.split_at(self.portion_len(rest));
             rest = after;
-            let draws = self.fetch(portion, step, &mut bricks, &mut faults)?;
+            let draws = match weight > 0.0 {
+                false => self.fetch(portion, step, &mut bricks, &mut faults)?,
+                true => self.fetch_between(portion, step, weight, &mut bricks)?,
+            };
             fetch_ms += start.elapsed().as_secs_f64() * 1e3;
             frame.draw(&draws)?;
         }
@@ -254,7 +303,13 @@ impl Session {
     }
 
     /// The draw list of a step. Damaged records of a level make the next coarser one stand in.
-    fn select(&mut self, view: &View, step: u32, faults: &mut Faults) -> anyhow::Result<Vec<DrawItem>> {
+    fn select(
+        &mut self,
+        view: &View,
+        step: u32,
+        weight: f64,
+        faults: &mut Faults,
+    ) -> anyhow::Result<Vec<DrawItem>> {
         let num_levels = self.store.tree().num_levels() as u8;
         let grid = self.store.header().grid;
         let aspect = view.size[0] as f64 / view.size[1] as f64;
@@ -265,7 +320,10 @@ impl Session {
             let layout = self.store.header().bricks;
             let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level, view: &volume };
             let list = selector.draw_list(
-                |node| self.record(&tree, node, step),
+                |node| match weight > 0.0 {
+                    false => self.record(&tree, node, step),
+                    true => Ok(record_between(self.records_around(&tree, node, step)?, weight)),
+                },
                 |range| view.transfer.is_transparent_over(range),
             );
             match list {
@@ -293,6 +351,49 @@ impl Session {
             }
         };
         Ok(spans[rank])
+    }
+
+    /// The records of a node at a step and the next.
+    fn records_around(
+        &mut self,
+        tree: &Octree,
+        node: NodeId,
+        step: u32,
+    ) -> Result<[SpanRecord; 2], StoreError> {
+        Ok([self.record(tree, node, step)?, self.record(tree, node, step + 1)?])
+    }
+
+    /// Turns items selected between two steps into bricks to draw.
+    fn fetch_between(
+        &mut self,
+        items: &[DrawItem],
+        step: u32,
+        weight: f64,
+        counts: &mut BrickCounts,
+    ) -> anyhow::Result<Vec<DrawBrick>> {
+        let tree = Arc::clone(&self.tree);
+        let records: Vec<[SpanRecord; 2]> =
+            items.iter().map(|item| self.records_around(&tree, item.node, step)).collect::<Result<_, _>>()?;
+        for item in items {
+            match item.how {
+                How::Skip => counts.skipped += 1,
+                How::Constant(_) => counts.constant += 1,
+                How::Payload => counts.new += 1,
+            }
+        }
+        let (store, variable) = (&self.store, self.variable);
+        let draw = |(item, records): (&DrawItem, [SpanRecord; 2])| {
+            let how = match item.how {
+                How::Skip => DrawHow::Skip,
+                How::Constant(value) => DrawHow::Constant(value),
+                How::Payload => {
+                    let brick = brick_between(store, variable, item.node, records, step, weight)?;
+                    DrawHow::Samples(Arc::new(PreparedBrick::new(brick, &store.header().bricks)?))
+                }
+            };
+            Ok(DrawBrick { node: item.node, region: item.region, how })
+        };
+        items.par_iter().zip(records).map(draw).collect()
     }
 
     /// How many of the next items fit a portion of the memory budget; at least one.

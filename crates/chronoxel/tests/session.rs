@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use chronoxel::session::{Session, View, orbit_camera};
+use chronoxel::session::{Moment, Session, View, orbit_camera};
 use chronoxel_core::{ColorMap, Lighting, TransferFunction};
 use chronoxel_ingest::{EncodeOptions, encode, sources};
 
@@ -70,4 +70,62 @@ fn a_step_reads_its_own_bytes_only() {
         session.bytes_from_disk()
     };
     assert!(read(&[0]) < read(&[0, 1]) && read(&[0, 1]) < read(&[0, 1, 2]));
+}
+
+#[test]
+fn between_two_steps_values_are_interpolated() {
+    // A uniform field that rises by 0.1 a step from 0.5: a quarter of the way on it is 0.525 everywhere.
+    let folder = tempfile::tempdir().unwrap();
+    let npy = |name: &str, values: &[f32]| {
+        let mut header =
+            format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, 12, 12, 12), }}", values.len());
+        header.push_str(&" ".repeat(117 - header.len()));
+        header.push('\n');
+        let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+        bytes.extend(header.as_bytes());
+        values.iter().for_each(|v| (0..1728).for_each(|_| bytes.extend(v.to_le_bytes())));
+        std::fs::write(folder.path().join(name), bytes).unwrap();
+        let store = folder.path().join(name).with_extension("cxl");
+        let source = [folder.path().join(name).to_str().unwrap().to_owned()];
+        let mut series = sources::open(&source, &Default::default()).unwrap();
+        let options = EncodeOptions { brick_edge: 8, ..EncodeOptions::default() };
+        encode(series.as_mut(), &store, &options, &mut |_| {}).unwrap();
+        Session::open(&store, None, 1 << 30).unwrap()
+    };
+    let (mut moving, mut still) = (npy("moving.npy", &[0.5, 0.6, 0.9]), npy("still.npy", &[0.525, 0.7, 0.9]));
+    let view = View {
+        transfer: TransferFunction::built_in("filled", ColorMap::Viridis)
+            .unwrap()
+            .resolve([0.0, 1.0])
+            .unwrap(),
+        ..view_of(&still, None)
+    };
+    let between = moving.draw_moment(&view, Moment { step: 0, weight: 0.25 }).unwrap();
+    let expected = still.draw(&view, 0).unwrap();
+    let largest = between
+        .image
+        .pixels
+        .iter()
+        .zip(&expected.image.pixels)
+        .flat_map(|(a, b)| (0..4).map(|c| (a[c] - b[c]).abs()));
+    assert!(largest.fold(0.0, f32::max) < 1e-4);
+    assert!(between.image.pixels.iter().any(|p| p[3] > 0.1), "the picture is empty");
+    assert!(moving.draw_moment(&view, Moment { step: 2, weight: 0.5 }).is_err());
+    assert_eq!(Moment::of_time(&[0.0, 1.0, 3.0], 1.5), Moment { step: 1, weight: 0.25 });
+    assert_eq!(Moment::of_time(&[0.0, 1.0, 3.0], 9.0), Moment::at(2));
+}
+
+#[test]
+fn a_moving_field_between_steps_lies_between_their_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = Session::open(&encoded(folder.path()), None, 1 << 30).unwrap();
+    let view = view_of(&session, None);
+    let alpha = |picture: &chronoxel::session::Picture| {
+        picture.image.pixels.iter().map(|p| f64::from(p[3])).sum::<f64>()
+    };
+    let [first, second] = [1, 2].map(|step| alpha(&session.draw(&view, step).unwrap()));
+    let near = alpha(&session.draw_moment(&view, Moment { step: 1, weight: 1e-6 }).unwrap());
+    assert!((near - first).abs() < 1e-3 * first, "{near} {first}");
+    let half = alpha(&session.draw_moment(&view, Moment { step: 1, weight: 0.5 }).unwrap());
+    assert!((first.min(second) * 0.99..=first.max(second) * 1.01).contains(&half), "{first} {half} {second}");
 }

@@ -14,7 +14,7 @@ use crate::{
     interrupt,
     movie::{self, Frame, MovieOptions},
     progress::{Counted, Progress},
-    session::Session,
+    session::{Moment, Session},
 };
 
 /// Draw a movie through the time steps
@@ -106,7 +106,7 @@ impl MovieArgs {
                 bar.warn(&format!("chronoxel: warning: step {step}: {warning}"));
                 warnings.push(warning.clone());
             }
-            let image = self.view.show(&session, &view, &picture, step)?;
+            let image = self.view.show(&session, &view, &picture, Moment::at(step))?;
             sink.write_frame(&Frame { image: &image, step, time })?;
             bar.advance(1);
         }

@@ -20,6 +20,7 @@ use crate::{
 #[command(after_help = "Examples:
   chronoxel render run.cxl -t 12 -o step12.png
   chronoxel render run.cxl --time 3.5 --tf sparse --colormap inferno --axes --colorbar -o picture.png
+  chronoxel render run.cxl --time 3.72 --blend-steps -o between.png
   chronoxel render run.cxl --azimuth 120 --elevation 45 --zoom 2 --size 1920x1080 -o picture.png
   chronoxel render run.cxl --tf function.json --background white --lighting off -o figure.png")]
 pub struct RenderArgs {
@@ -101,11 +102,11 @@ impl RenderArgs {
             self.output.display()
         );
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
-        let step = self.step.resolve(&session)?;
+        let moment = self.step.resolve(&session)?;
         let view = self.view.view(&session)?;
-        let picture = session.draw(&view, step)?;
+        let picture = session.draw_moment(&view, moment)?;
         picture.warnings.iter().for_each(|warning| output::warning(warning));
-        write_png(&self.output, &self.view.show(&session, &view, &picture, step)?)?;
+        write_png(&self.output, &self.view.show(&session, &view, &picture, moment)?)?;
 
         let header = session.store().header();
         Ok(RenderReport {
@@ -118,8 +119,8 @@ impl RenderArgs {
             bricks: picture.bricks.into(),
             opacity_unit: view.opacity_unit,
             size: view.size,
-            step,
-            time: header.times.times[step],
+            step: moment.step,
+            time: moment.time(&header.times.times),
             time_units: header.times.units.clone(),
             level: view.level,
             warnings: picture.warnings,

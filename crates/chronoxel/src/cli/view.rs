@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive, parse_step};
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
-    session::{Picture, Session, View, orbit_camera},
+    session::{Moment, Picture, Session, View, orbit_camera},
 };
 
 /// Options of `render`, `movie` and `play`.
@@ -100,6 +100,9 @@ pub struct StepArgs {
     /// Time, in the source's units; the nearest step is drawn
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse_finite)]
     pub time: Option<f64>,
+    /// Draw --time between the two steps around it, interpolated, instead of the nearest step
+    #[arg(long, requires = "time")]
+    pub blend_steps: bool,
 }
 
 /// On or off.
@@ -196,7 +199,7 @@ impl ViewArgs {
         session: &Session,
         view: &View,
         picture: &Picture,
-        step: usize,
+        moment: Moment,
     ) -> anyhow::Result<Image8> {
         let [width, height] = view.size;
         let background = self.background.into();
@@ -225,7 +228,7 @@ impl ViewArgs {
         }
         if self.time_label {
             let label = TimeLabel::new(&header.times);
-            occupied.push(label.draw(&mut shown, &style, header.times.times[step], step).rect);
+            occupied.push(label.draw(&mut shown, &style, moment.time(&header.times.times), moment.step).rect);
         }
         if self.axes {
             axes.draw_outline(&mut shown, &style, &occupied);
@@ -289,15 +292,18 @@ impl TransferArgs {
 }
 
 impl StepArgs {
-    /// The step meant.
+    /// The moment meant.
     ///
     /// # Errors
     /// If it is not in the store.
-    pub fn resolve(&self, session: &Session) -> anyhow::Result<usize> {
+    pub fn resolve(&self, session: &Session) -> anyhow::Result<Moment> {
         let header = session.store().header();
         let num_steps = header.num_steps_finished as usize;
         if let Some(time) = self.time {
-            return Ok(header.times.nearest_step(time).min(num_steps - 1));
+            return Ok(match self.blend_steps {
+                false => Moment::at(header.times.nearest_step(time).min(num_steps - 1)),
+                true => Moment::of_time(&header.times.times[..num_steps], time),
+            });
         }
         let step = self.time_step.unwrap_or(0);
         anyhow::ensure!(
@@ -306,7 +312,7 @@ impl StepArgs {
             session.store().path().display(),
             num_steps - 1
         );
-        Ok(step)
+        Ok(Moment::at(step))
     }
 }
 
