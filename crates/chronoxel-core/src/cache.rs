@@ -98,13 +98,6 @@ impl<K: Copy + Eq + Hash, V: Clone> ByteLru<K, V> {
         }
     }
 
-    /// Forgets everything but the counts.
-    pub fn clear(&mut self) {
-        self.entries.clear();
-        self.by_use.clear();
-        self.held_bytes = 0;
-    }
-
     /// Bytes held now.
     pub fn held_bytes(&self) -> usize {
         self.held_bytes

@@ -1,21 +1,13 @@
 //! The plume and its transport solver against conservation of mass and closed forms.
 
-use chronoxel_core::Samples;
+#[path = "common/steps.rs"]
+mod steps;
+
 use chronoxel_ingest::sim::{
     self,
     transport::{Material, Transport},
 };
-
-/// All samples of some steps, opened in the order given.
-fn steps_of(spec: &str, steps: &[usize]) -> Vec<Vec<f32>> {
-    let mut series = sim::open(spec).unwrap();
-    let num_slices = series.grid().dims[2];
-    let mut read = |step: &usize| match series.open_step(0, *step).unwrap().read_slices(num_slices).unwrap() {
-        Samples::F32(samples) => samples,
-        Samples::F64(_) => panic!("f32 was declared"),
-    };
-    steps.iter().map(&mut read).collect()
-}
+use steps::steps_of;
 
 fn gaussian_ball(transport: &mut Transport, dims: [usize; 3], centre: [f64; 3], sigma: f64) {
     for (k, j, i) in

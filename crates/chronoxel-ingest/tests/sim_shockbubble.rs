@@ -1,10 +1,13 @@
 //! The gas solver against the exact Riemann solution and conservation laws, and the scene it makes.
 
-use chronoxel_core::Samples;
+#[path = "common/steps.rs"]
+mod steps;
+
 use chronoxel_ingest::sim::{
     self,
     euler::{Boundary, Euler, Primitive},
 };
+use steps::steps_of;
 
 const GAMMA: f64 = 1.4;
 
@@ -148,16 +151,6 @@ fn inflow_adds_its_mass() {
     let entered = 1.2 * 0.7 * (0.4 * 0.6) * 0.5;
     let gained = gas.totals()[0] - before[0];
     assert!((gained / entered - 1.0).abs() < 1e-4, "{gained} {entered}");
-}
-
-fn steps_of(spec: &str, steps: &[usize]) -> Vec<Vec<f32>> {
-    let mut series = sim::open(spec).unwrap();
-    let num_slices = series.grid().dims[2];
-    let mut read = |step: &usize| match series.open_step(0, *step).unwrap().read_slices(num_slices).unwrap() {
-        Samples::F32(samples) => samples,
-        Samples::F64(_) => panic!("f32 was declared"),
-    };
-    steps.iter().map(&mut read).collect()
 }
 
 #[test]

@@ -1,22 +1,15 @@
 //! The pseudo-spectral solver against the Taylor–Green vortex, and the turbulence it makes.
 
-use chronoxel_core::Samples;
-use chronoxel_ingest::sim::{self, navier_stokes::NavierStokes};
+#[path = "common/steps.rs"]
+mod steps;
+
+use chronoxel_ingest::sim::navier_stokes::NavierStokes;
+use steps::steps_of;
 
 fn taylor_green(n: usize, viscosity: f64) -> NavierStokes {
     let mut flow = NavierStokes::new([n; 3], viscosity);
     flow.add_taylor_green();
     flow
-}
-
-fn steps_of(spec: &str, steps: &[usize]) -> Vec<Vec<f32>> {
-    let mut series = sim::open(spec).unwrap();
-    let num_slices = series.grid().dims[2];
-    let mut read = |step: &usize| match series.open_step(0, *step).unwrap().read_slices(num_slices).unwrap() {
-        Samples::F32(samples) => samples,
-        Samples::F64(_) => panic!("f32 was declared"),
-    };
-    steps.iter().map(&mut read).collect()
 }
 
 /// Mean enstrophy of the inviscid vortex as a power series in t (`fixtures/taylor_green.py`, exact).

@@ -228,12 +228,6 @@ impl Session {
         self.store.bytes_read()
     }
 
-    /// Forgets what is resident, as if the store had just been opened.
-    pub fn forget(&mut self) {
-        self.bricks.clear();
-        self.spans.clear();
-    }
-
     /// Draws a step.
     ///
     /// A brick whose bytes are damaged is replaced by its parent, with a warning that names it.
