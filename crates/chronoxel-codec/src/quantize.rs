@@ -71,7 +71,7 @@ pub fn quantize_affine<T: SampleValue>(
 }
 
 /// Smallest and largest of finite samples; zeros are positive.
-fn range_of<T: SampleValue>(samples: &[T]) -> Result<[f64; 2], CodecError> {
+pub(crate) fn range_of<T: SampleValue>(samples: &[T]) -> Result<[f64; 2], CodecError> {
     const LANES: usize = 16;
     let Some(&first) = samples.first() else {
         return Err(CodecError::invalid("number of samples", 0, "a brick has samples"));
