@@ -2,36 +2,47 @@
 //!
 //! A step streams past in slabs (`stream`); each level is filtered from the one below (`pyramid`); as soon as the
 //! slices of a layer of bricks are there, its bricks are cut (`cut`), analysed (`analyse`), padded where masked
-//! (`pad`), coded (`coding`) and handed to the store's writer. Memory and threads decide how much is done at once
-//! (`budget`), never what comes out.
+//! (`pad`), coded (`coding`) and handed to the store's writer. Codecs that use time let bricks wait (`scratch`) until the
+//! window of their node is over (`timing`, `windowed`). Memory and threads decide how much is done at once (`budget`), never
+//! what comes out.
 
 mod analyse;
 mod budget;
 mod coding;
 mod cut;
 mod mark;
+mod node;
 mod options;
 mod output;
 mod pad;
+mod palettes;
 mod pyramid;
 pub(crate) mod real;
 mod resume;
+mod scratch;
 mod step;
 pub(crate) mod stream;
+mod timing;
+mod variable;
 pub(crate) mod window;
+mod windowed;
 
 use std::path::Path;
 use std::time::Instant;
 
 use chronoxel_core::{BrickLayout, Octree, SampleType, octree::levels_of};
 use chronoxel_store::{StoreDescription, StoreWriter, VariableDescription};
+use serde::Deserialize;
+use serde_json::{Value, json};
 
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 
 use crate::{EncodeError, TimeSeries};
+use budget::Portions;
 use output::Output;
-use step::{Coding, Encoder};
+use step::Stepper;
 use stream::StreamPlan;
+use variable::{Coding, How, Places, StepTask, VariableEncoder};
 
 /// Encodes a series into the store `output`.
 ///
@@ -52,9 +63,10 @@ pub fn encode(
     let started = Instant::now();
     options.check()?;
     let job = Job::new(series, options)?;
-    let (place, mut writer) = Output::open(output, &job.description, options)?;
+    let (place, mut writer, first) = Output::open(output, &job.description, options)?;
     let mut report = EncodeReport { raw_bytes: job.raw_bytes(), ..EncodeReport::default() };
-    match job.run(series, &mut writer, &mut report, progress) {
+    let folder = output.parent().unwrap_or(Path::new("."));
+    match job.run(series, &mut writer, first, folder, &mut report, progress) {
         Ok(()) => writer.finish()?,
         Err(error) => return Err(place.abandon(writer, error)),
     };
@@ -67,7 +79,7 @@ pub fn encode(
 struct Job {
     description: StoreDescription,
     plan: StreamPlan,
-    batch_bricks: usize,
+    portions: Portions,
     /// For each variable of the store: its index in the series, and how it is coded.
     variables: Vec<(usize, Coding)>,
 }
@@ -77,7 +89,7 @@ impl Job {
         let grid = *series.grid();
         let layout = BrickLayout::new(options.brick_edge)?;
         let levels = levels_of(&grid, &layout);
-        let variables = options.choose_variables(series.variables())?;
+        let variables = options.choose_variables(series.variables(), series.times().num_steps())?;
         let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
         let task = budget::Task {
             levels: &levels,
@@ -86,6 +98,9 @@ impl Job {
             num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
             num_threads: rayon::current_num_threads(),
             source_bytes: series.working_bytes(),
+            window: variables.iter().map(|(_, coding)| coding.how.window()).max().unwrap_or(1),
+            copies: variables.iter().map(|(_, coding)| coding.how.copies()).max().unwrap_or(0),
+            num_variables: variables.len() as u64,
         };
         let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {
@@ -95,8 +110,8 @@ impl Job {
                 units: variable.units.clone(),
                 sample_type: variable.sample_type,
                 fill_value: coding.fill_value,
-                windows: vec![1],
-                classes: coding.classes(),
+                windows: coding.how.windows(),
+                classes: coding.how.classes(),
             }
         });
         let description = StoreDescription {
@@ -108,7 +123,7 @@ impl Job {
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };
-        Ok(Self { description, plan, batch_bricks: portions.batch_bricks, variables })
+        Ok(Self { description, plan, portions, variables })
     }
 
     fn num_steps(&self) -> usize {
@@ -130,10 +145,12 @@ impl Job {
         &self,
         series: &mut dyn TimeSeries,
         writer: &mut StoreWriter,
+        first: u32,
+        folder: &Path,
         report: &mut EncodeReport,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), EncodeError> {
-        let first = writer.header().num_steps_finished as usize;
+        let first = first as usize;
         report.steps_resumed = first;
         let mut told = Progress {
             step: first,
@@ -141,18 +158,21 @@ impl Job {
             done_bytes: report.raw_bytes / self.num_steps() as u64 * first as u64,
             raw_bytes: report.raw_bytes,
         };
+        let mut encoders = self.encoders(series, writer, first, folder)?;
         for step in first..self.num_steps() {
             told.step = step;
-            for variable in 0..self.variables.len() {
+            for (variable, encoder) in encoders.iter_mut().enumerate() {
                 let bytes = self.step_bytes(variable);
-                let marks = self.encode_one(series, writer, variable, step, &mut |share| {
+                let mut on_share = |share| {
                     let done_bytes = told.done_bytes + (bytes as f64 * share) as u64;
                     progress(Progress { done_bytes, ..told.clone() });
-                })?;
+                };
+                let marks = encoder.encode_step(series, &self.task(step), writer, &mut self.shares(&mut on_share))?;
                 told.done_bytes += bytes;
                 report.num_masked += marks.num_masked;
                 report.num_infinite += marks.num_infinite;
             }
+            writer.set_carry(carry_of(step, &encoders));
             writer.commit_step(step as u32)?;
             report.steps_read += 1;
         }
@@ -162,35 +182,62 @@ impl Job {
         }
     }
 
-    /// One step of one variable; `share` is told which part of it is done.
-    fn encode_one(
+    fn encoders(
         &self,
-        series: &mut dyn TimeSeries,
-        writer: &mut StoreWriter,
-        variable: usize,
-        step: usize,
-        share: &mut dyn FnMut(f64),
-    ) -> Result<mark::Marks, EncodeError> {
-        let (index, coding) = &self.variables[variable];
-        let fits_f32 = series.variables()[*index].sample_type.fits_f32();
-        // The writer's, not our own: after a resume it is what it would have been without.
-        let seen = &writer.header().variables[variable];
-        let seen = [seen.min.unwrap_or(f64::INFINITY), seen.max.unwrap_or(f64::NEG_INFINITY)];
-        let encoder =
-            Encoder { plan: &self.plan, tree: &self.description.tree, batch_bricks: self.batch_bricks };
+        series: &dyn TimeSeries,
+        writer: &StoreWriter,
+        first: usize,
+        folder: &Path,
+    ) -> Result<Vec<VariableEncoder<'_>>, EncodeError> {
+        let places = Places {
+            tree: &self.description.tree,
+            layout: &self.description.layout,
+            num_steps: self.num_steps() as u32,
+            folder,
+            scratch_bytes: self.portions.scratch_bytes / self.variables.len() as u64,
+        };
+        let encoder = |(variable, (index, coding)): (usize, &'_ (usize, Coding))| {
+            let ranges = ranges_before(writer.carry(), variable, first);
+            let fits_f32 = series.variables()[*index].sample_type.fits_f32();
+            VariableEncoder::new(*index, variable, coding, fits_f32, &places, ranges)
+        };
+        self.variables.iter().enumerate().map(encoder).collect()
+    }
+
+    fn task(&self, step: usize) -> StepTask<'_> {
+        let stepper = Stepper {
+            plan: &self.plan,
+            tree: &self.description.tree,
+            batch_bricks: self.portions.batch_bricks,
+        };
+        StepTask { stepper, batch_nodes: self.portions.batch_nodes, step: step as u32 }
+    }
+
+    /// Counts bricks of level 0 into the share of a step that is done.
+    fn shares<'a>(&self, on_share: &'a mut dyn FnMut(f64)) -> impl FnMut(u8, usize) + 'a {
         let num_finest = self.description.tree.nodes(0).len() as f64;
         let mut finest_done = 0;
-        let mut on_bricks = |level: u8, num_bricks: usize| {
+        move |level: u8, num_bricks: usize| {
             if level == 0 {
                 finest_done += num_bricks;
-                share(finest_done as f64 / num_finest);
+                on_share(finest_done as f64 / num_finest);
             }
-        };
-        let mut put = |level, spans| Ok(writer.put(variable, level, spans)?);
-        let reader = series.open_step(*index, step)?;
-        match fits_f32 {
-            true => encoder.encode_step::<f32>(reader, coding, step, seen, &mut put, &mut on_bricks),
-            false => encoder.encode_step::<f64>(reader, coding, step, seen, &mut put, &mut on_bricks),
         }
     }
+}
+
+/// What a resume must know of the steps that it does not read again: the ranges of the last ones.
+fn carry_of(step: usize, encoders: &[VariableEncoder<'_>]) -> Value {
+    let ranges: Vec<&[[f64; 2]]> = encoders.iter().map(VariableEncoder::ranges).collect();
+    json!({ "step": step, "ranges": ranges })
+}
+
+/// The ranges of a variable up to each of the steps before `first`, from a carry.
+fn ranges_before(carry: &Value, variable: usize, first: usize) -> Vec<[f64; 2]> {
+    let last = carry["step"].as_u64().unwrap_or(0) as usize;
+    // JSON has no infinities: those of a range without samples are null.
+    let ranges = Vec::<[Option<f64>; 2]>::deserialize(&carry["ranges"][variable]).unwrap_or_default();
+    let num_after = (last + 1).saturating_sub(first).min(ranges.len());
+    let range = |[low, high]: [Option<f64>; 2]| [low.unwrap_or(f64::INFINITY), high.unwrap_or(f64::NEG_INFINITY)];
+    ranges[..ranges.len() - num_after].iter().copied().map(range).collect()
 }

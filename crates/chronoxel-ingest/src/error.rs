@@ -141,6 +141,14 @@ pub enum EncodeError {
         /// Steps of the series.
         num_steps: usize,
     },
+    /// The scratch file, which holds what memory does not, cannot be written or read.
+    #[error("scratch file in {}: {source}: free some space there, or raise --memory", folder.display())]
+    Scratch {
+        /// The folder of the store.
+        folder: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The store to resume was made otherwise.
     #[error("{}: cannot resume: {field} was {was} and is {is}: give the same source and options, or --overwrite", path.display())]
     ResumeDiffers {

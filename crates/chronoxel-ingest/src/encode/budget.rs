@@ -9,8 +9,12 @@ use crate::EncodeError;
 pub struct Portions {
     /// Slices read at once.
     pub slab_slices: usize,
-    /// Bricks coded at once.
+    /// Bricks cut at once.
     pub batch_bricks: usize,
+    /// Nodes whose windows are coded at once.
+    pub batch_nodes: usize,
+    /// What may wait in memory for the end of its window; the rest waits in the scratch file.
+    pub scratch_bytes: u64,
 }
 
 /// Slabs larger than this are not read faster.
@@ -24,6 +28,10 @@ const THREAD_BYTES: u64 = 1 << 20;
 /// What the writer keeps of a payload so that an equal one is stored once, and of how many at most.
 const DIGEST_BYTES: u64 = 128;
 const MAX_DIGESTS: u64 = 1 << 20;
+/// What is known of a brick and step that waits: its analysis, and where it waits.
+const WAITING_BYTES: u64 = 192;
+/// Nodes coded at once, at most: enough for every thread.
+const LARGEST_NODE_BATCH: usize = 16;
 /// What the writer keeps of a node in the step being written: its record, its place in the open shards.
 const NODE_BYTES: u64 = 256;
 
@@ -42,6 +50,12 @@ pub struct Task<'a> {
     pub num_threads: usize,
     /// What the source holds besides the slices that it hands over.
     pub source_bytes: u64,
+    /// Steps of a window; 1 where each step is coded as it comes.
+    pub window: u32,
+    /// Copies of a window's samples that coding one node holds, payloads included; 0 where each step is coded as it comes.
+    pub copies: u64,
+    /// Variables that wait at the same time.
+    pub num_variables: u64,
 }
 
 /// The largest portions that fit `memory_bytes`.
@@ -49,11 +63,13 @@ pub struct Task<'a> {
 /// # Errors
 /// [`EncodeError::Memory`] if even the smallest do not fit.
 pub fn portions(task: &Task<'_>, memory_bytes: u64) -> Result<Portions, EncodeError> {
-    let needed = |slab, batch| task.needed(Portions { slab_slices: slab, batch_bricks: batch });
-    if needed(1, 1) > memory_bytes {
+    let needed = |slab_slices, batch_bricks, batch_nodes| {
+        task.needed(Portions { slab_slices, batch_bricks, batch_nodes, scratch_bytes: 0 })
+    };
+    if needed(1, 1, 1) > memory_bytes {
         return Err(EncodeError::Memory {
             given: memory_bytes,
-            needed: needed(1, 1),
+            needed: needed(1, 1, 1),
             source_bytes: task.source_bytes,
         });
     }
@@ -63,9 +79,13 @@ pub fn portions(task: &Task<'_>, memory_bytes: u64) -> Result<Portions, EncodeEr
     let most_bricks =
         finest.bricks[0].saturating_mul(finest.bricks[1]).min(LARGEST_BATCH.max(4 * task.num_threads));
     // Batches first: without enough bricks at once, threads stand idle.
-    let batch_bricks = largest(most_bricks, |batch| needed(1, batch) <= memory_bytes);
-    let slab_slices = largest(most_slices, |slab| needed(slab, batch_bricks) <= memory_bytes);
-    Ok(Portions { slab_slices, batch_bricks })
+    let most_nodes = LARGEST_NODE_BATCH.max(4 * task.num_threads);
+    let batch_nodes = largest(most_nodes, |nodes| needed(1, 1, nodes) <= memory_bytes);
+    let batch_bricks = largest(most_bricks, |batch| needed(1, batch, batch_nodes) <= memory_bytes);
+    let slab_slices = largest(most_slices, |slab| needed(slab, batch_bricks, batch_nodes) <= memory_bytes);
+    let left = memory_bytes - needed(slab_slices, batch_bricks, batch_nodes);
+    // A sixteenth of it is what the allocator cannot use.
+    Ok(Portions { slab_slices, batch_bricks, batch_nodes, scratch_bytes: left - left / 16 })
 }
 
 impl Task<'_> {
@@ -79,6 +99,7 @@ impl Task<'_> {
             FIXED_BYTES + THREAD_BYTES * self.num_threads as u64,
             self.slices_bytes(portions.slab_slices),
             self.bricks_bytes(portions.batch_bricks),
+            self.nodes_bytes(portions.batch_nodes),
             self.writer_bytes(),
             self.source_bytes,
         ];
@@ -106,9 +127,27 @@ impl Task<'_> {
         full * ((self.held_bytes() + 4) * self.num_threads as u64 + 8 * batch as u64)
     }
 
-    fn writer_bytes(&self) -> u64 {
+    /// For each thread the windows of a node being coded; for each node of a batch its payloads, while those of the batch
+    /// before are compressed; and what is known of every brick that waits.
+    fn nodes_bytes(&self, batch: usize) -> u64 {
+        if self.copies == 0 {
+            return 0;
+        }
+        let samples = (self.layout.num_full() as u64).saturating_mul(self.window.into());
+        let threads = (self.num_threads as u64).saturating_mul(self.copies * self.held_bytes());
+        let coded = samples.saturating_mul(threads.saturating_add(4 * batch as u64));
+        let waiting = self.num_nodes().saturating_mul(u64::from(self.window) * WAITING_BYTES);
+        // Bricks of a batch are handed on, not cut in place.
+        coded.saturating_add(waiting.saturating_mul(self.num_variables))
+    }
+
+    fn num_nodes(&self) -> u64 {
         let nodes = |level: &LevelGeometry| level.bricks.iter().map(|&n| n as u64).product::<u64>();
-        let num_nodes = self.levels.iter().map(nodes).fold(0, u64::saturating_add);
+        self.levels.iter().map(nodes).fold(0, u64::saturating_add)
+    }
+
+    fn writer_bytes(&self) -> u64 {
+        let num_nodes = self.num_nodes();
         let digests = num_nodes.saturating_mul(self.num_volumes).min(MAX_DIGESTS);
         digests * DIGEST_BYTES + num_nodes.saturating_mul(NODE_BYTES)
     }
@@ -143,6 +182,9 @@ mod tests {
             num_volumes: 1,
             num_threads: 2,
             source_bytes: 0,
+            window: 1,
+            copies: 0,
+            num_variables: 1,
         };
         let at = |bytes| portions(&task, bytes);
         let ample = at(1 << 33).unwrap();
@@ -150,7 +192,8 @@ mod tests {
         let Err(EncodeError::Memory { needed, .. }) = at(1 << 20) else { panic!("1 MiB cannot be enough") };
         // 35 slices of 4 MiB at least; an eighth of the step would be 512 MiB.
         assert!(needed > 35 << 22 && needed < 300 << 20, "{needed}");
-        assert_eq!(at(needed).unwrap(), Portions { slab_slices: 1, batch_bricks: 1 });
+        let least = at(needed).unwrap();
+        assert_eq!((least.slab_slices, least.batch_bricks, least.batch_nodes), (1, 1, 1));
         // What the source holds is on top, with the sixteenth that goes with it.
         let beside = Task { source_bytes: 1 << 30, ..task };
         let Err(error) = portions(&beside, needed + (1 << 30)) else { panic!("a sixteenth is missing") };

@@ -2,16 +2,24 @@
 
 use serde_json::{Value, json};
 
-use super::step::Coding;
+use super::palettes::PaletteKind;
+use super::variable::{Coding, How};
+use super::windowed::Method;
 use crate::{EncodeError, Variable};
 
 /// How bricks are coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Codec {
-    /// Per brick the fewest bytes that hold the error bound; without a bound as `Raw`.
+    /// Per brick the fewest bytes that hold an error bound, or the least error at a rate; without either as `Raw`.
     Auto,
-    /// Quantised within the range of each brick.
+    /// Each step quantised within the range of each brick.
     Raw,
+    /// Temporal palettes (lum2001): DCT, bit allocation, Lloyd-Max quantisers, per brick.
+    Palette,
+    /// The same with one quantiser for each slice of the volume, as lum2001 has it: to compare with.
+    PaletteSlice,
+    /// Temporal palettes trained on the vectors of each brick.
+    Vq,
 }
 
 impl Codec {
@@ -20,6 +28,9 @@ impl Codec {
         match self {
             Self::Auto => "auto",
             Self::Raw => "raw",
+            Self::Palette => "palette",
+            Self::PaletteSlice => "palette-slice",
+            Self::Vq => "vq",
         }
     }
 }
@@ -31,8 +42,13 @@ pub struct EncodeOptions {
     pub variables: Vec<String>,
     /// How bricks are coded.
     pub codec: Codec,
-    /// Bits per sample, 8 or 16; by default 8 for 8-bit integers, else 16.
-    pub bits: Option<u8>,
+    /// `Raw`: bits per sample, 8 or 16; by default 8 for 8-bit integers, else 16. `Auto`: stored bits per sample and
+    /// step, on average.
+    pub bits: Option<f64>,
+    /// Steps of a window, 1 to 16, a power of two; by default 8 for palettes, 16 for `Auto`.
+    pub window: Option<u32>,
+    /// Stages of a palette, 1 to 3; by default 1.
+    pub stages: Option<u8>,
     /// Largest error of a source sample, in units of the variable's range: `range`, else what was seen of it so far
     /// when a brick is coded, which can only be stricter than the final one.
     pub max_error: Option<f64>,
@@ -58,6 +74,8 @@ impl Default for EncodeOptions {
             variables: Vec::new(),
             codec: Codec::Auto,
             bits: None,
+            window: None,
+            stages: None,
             max_error: None,
             range: None,
             brick_edge: 32,
@@ -108,26 +126,51 @@ impl EncodeOptions {
         let invalid = |argument, value: String, remedy: &str| {
             Err(EncodeError::InvalidArgument { argument, value, remedy: remedy.into() })
         };
-        if let Some(bits) = self.bits.filter(|b| ![8, 16].contains(b)) {
-            return invalid("--bits", bits.to_string(), "use 8 or 16");
+        let codec = self.codec.name();
+        if let Some(bits) = self.bits {
+            match self.codec {
+                Codec::Raw if ![8.0, 16.0].contains(&bits) => {
+                    return invalid("--bits", bits.to_string(), "with --codec raw: use 8 or 16");
+                }
+                Codec::Auto if !(0.01..=32.0).contains(&bits) => {
+                    return invalid("--bits", bits.to_string(), "per sample and step: 0.01 to 32");
+                }
+                Codec::Raw | Codec::Auto => {}
+                _ => {
+                    let remedy = format!("--codec {codec} has --window and --stages; --codec auto meets a rate");
+                    return invalid("--bits", bits.to_string(), &remedy);
+                }
+            }
         }
         if let Some(error) = self.max_error {
             if !(0.0..1.0).contains(&error) {
-                return invalid(
-                    "--max-error",
-                    error.to_string(),
-                    "a share of the range: at least 0, below 1",
-                );
+                return invalid("--max-error", error.to_string(), "a share of the range: at least 0, below 1");
             }
-            if self.codec == Codec::Raw {
-                return invalid("--max-error", error.to_string(), "goes with --codec auto; raw has --bits");
+            if self.codec != Codec::Auto {
+                let remedy = format!("goes with --codec auto, not with {codec}");
+                return invalid("--max-error", error.to_string(), &remedy);
             }
             if self.bits.is_some() {
-                return invalid(
-                    "--max-error",
-                    error.to_string(),
-                    "chooses the bits itself: leave --bits out",
-                );
+                return invalid("--max-error", error.to_string(), "chooses the bits itself: leave --bits out");
+            }
+        }
+        if let Some(window) = self.window {
+            if ![1, 2, 4, 8, 16].contains(&window) {
+                return invalid("--window", window.to_string(), "steps: use 1, 2, 4, 8 or 16");
+            }
+            let by_steps = self.codec == Codec::Auto && self.max_error.is_none() && self.bits.is_none();
+            if by_steps || self.codec == Codec::Raw {
+                let remedy = "--codec raw codes each step by itself, and so does auto without --max-error or --bits";
+                return invalid("--window", window.to_string(), remedy);
+            }
+        }
+        if let Some(stages) = self.stages {
+            if !(1..=3).contains(&stages) {
+                return invalid("--stages", stages.to_string(), "use 1, 2 or 3");
+            }
+            if matches!(self.codec, Codec::Raw | Codec::Auto) {
+                let remedy = format!("goes with palettes; --codec {codec} chooses by itself");
+                return invalid("--stages", stages.to_string(), &remedy);
             }
         }
         if let Some([low, high]) = self.range.filter(|[low, high]| !(low < high && (high - low).is_finite()))
@@ -144,6 +187,7 @@ impl EncodeOptions {
     pub(super) fn choose_variables(
         &self,
         available: &[Variable],
+        num_steps: usize,
     ) -> Result<Vec<(usize, Coding)>, EncodeError> {
         let names: Vec<&str> = available.iter().map(|v| v.name.as_str()).collect();
         let mut chosen: Vec<usize> = Vec::new();
@@ -163,20 +207,37 @@ impl EncodeOptions {
         if self.variables.is_empty() {
             chosen = (0..available.len()).collect();
         }
-        chosen.into_iter().map(|index| Ok((index, self.coding(&available[index])?))).collect()
+        chosen.into_iter().map(|index| Ok((index, self.coding(&available[index], num_steps)?))).collect()
     }
 
-    fn coding(&self, variable: &Variable) -> Result<Coding, EncodeError> {
-        let sample_type = variable.sample_type;
+    fn coding(&self, variable: &Variable, num_steps: usize) -> Result<Coding, EncodeError> {
         let fill_value = self.fill_value.or(variable.fill_value).filter(|fill| !fill.is_nan());
         Ok(Coding {
             name: variable.name.clone(),
             // Where the source holds integers, a fill value of NaN never occurs; in floats NaN is masked anyway.
             fill_value,
-            bits: self.bits.unwrap_or(if sample_type.num_bytes() == 1 { 8 } else { 16 }),
-            max_error: self.max_error,
             range: self.range,
+            how: self.how(variable, num_steps),
         })
+    }
+
+    fn how(&self, variable: &Variable, num_steps: usize) -> How {
+        let num_stages = usize::from(self.stages.unwrap_or(1));
+        let windows = |default: u32, method| {
+            // No longer than the series has use for.
+            let longest = u32::try_from(num_steps.next_power_of_two()).unwrap_or(u32::MAX);
+            How::Windows { window: self.window.unwrap_or(default).min(longest), method }
+        };
+        let palettes = |kind| windows(8, Method::Palettes { kind, num_stages });
+        match (self.codec, self.max_error, self.bits) {
+            (Codec::Palette, ..) => palettes(PaletteKind::Product),
+            (Codec::Vq, ..) => palettes(PaletteKind::Vector),
+            (Codec::PaletteSlice, ..) => palettes(PaletteKind::Product),
+            (Codec::Auto, ..) | (Codec::Raw, ..) => {
+                let bits = if variable.sample_type.num_bytes() == 1 { 8 } else { 16 };
+                How::Steps { bits: self.bits.map_or(bits, |bits| bits as u8) }
+            }
+        }
     }
 
     /// What the store's header records, and a resume compares.
@@ -186,6 +247,8 @@ impl EncodeOptions {
             "source": self.source_name,
             "codec": self.codec.name(),
             "bits": self.bits,
+            "window": self.window,
+            "stages": self.stages,
             "max_error": self.max_error,
             "range": self.range,
         })

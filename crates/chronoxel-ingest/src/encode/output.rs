@@ -17,12 +17,12 @@ pub struct Output {
 }
 
 impl Output {
-    /// Creates the store, or opens it to continue.
+    /// Creates the store, or opens it to continue; also gives the first step to read.
     pub fn open(
         path: &Path,
         description: &StoreDescription,
         options: &EncodeOptions,
-    ) -> Result<(Self, StoreWriter), EncodeError> {
+    ) -> Result<(Self, StoreWriter, u32), EncodeError> {
         let stem = path.file_stem().filter(|_| path.extension().is_some_and(|e| e == "cxl"));
         let Some(stem) = stem.and_then(|s| s.to_str()) else {
             return Err(EncodeError::InvalidArgument {
@@ -49,7 +49,7 @@ impl Output {
         path: &Path,
         stem: &str,
         description: &StoreDescription,
-    ) -> Result<(Self, StoreWriter), EncodeError> {
+    ) -> Result<(Self, StoreWriter, u32), EncodeError> {
         // A replacement that was killed: the store it replaces still lies aside.
         let aside = aside_of(path, stem);
         let mut replaced = (exists(&aside) && check_is_store(&aside).is_ok()).then_some(aside);
@@ -63,8 +63,8 @@ impl Output {
             rename(found, path)?;
         }
         let output = Self { path: path.to_owned(), replaced };
-        let (writer, _) = StoreWriter::resume(path, description)?;
-        Ok((output, writer))
+        let (writer, first) = StoreWriter::resume(path, description)?;
+        Ok((output, writer, first))
     }
 
     fn create(
@@ -72,14 +72,14 @@ impl Output {
         kept: &Path,
         stem: &str,
         description: &StoreDescription,
-    ) -> Result<(Self, StoreWriter), EncodeError> {
+    ) -> Result<(Self, StoreWriter, u32), EncodeError> {
         let replaced = set_aside(path, stem)?;
         if exists(kept) {
             remove(kept)?;
         }
         let output = Self { path: path.to_owned(), replaced };
         match StoreWriter::create(path, description, false) {
-            Ok(writer) => Ok((output, writer)),
+            Ok(writer) => Ok((output, writer, 0)),
             Err(error) => {
                 let _ = fs::remove_dir_all(path);
                 output.restore();

@@ -1,9 +1,11 @@
 //! The two number types the encoder computes in: `f32` for sources that fit it, else `f64`.
 
+use bytemuck::Pod;
+use chronoxel_codec::SampleValue;
 use chronoxel_core::Samples;
 
 /// A sample as the encoder holds it; NaN stands for "masked".
-pub trait Real: Copy + PartialOrd + Send + Sync + 'static {
+pub trait Real: SampleValue + Pod {
     /// The mark of a masked sample.
     const MASKED: Self;
     /// The largest finite value.

@@ -1,186 +1,110 @@
-//! One step of one variable: from its slices to the spans of all its bricks.
+//! One step of one variable streaming past: each brick is cut, analysed and handed on, batch by batch.
 
-use chronoxel_codec::{PayloadClass, SampleValue, stage_to_bytes};
 use chronoxel_core::{LevelGeometry, NodeId, Octree};
-use chronoxel_store::{SpanContent, SpanWrite};
 use rayon::prelude::*;
 
 use super::analyse::{Analysis, analyse};
-use super::coding::{Choice, CodedBrick, Demand, Refusal, code};
 use super::cut::cut;
 use super::mark::Marks;
 use super::real::Real;
 use super::stream::{Layer, StreamPlan, stream};
 use crate::{EncodeError, StepReader};
 
-/// How a variable is to be coded.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Coding {
-    /// Its name, for messages.
-    pub name: String,
-    /// Value that means "no data".
-    pub fill_value: Option<f64>,
-    /// Bits per index where no error is given.
-    pub bits: u8,
-    /// Largest error, relative to the range.
-    pub max_error: Option<f64>,
-    /// The range errors refer to, where the user gave one.
-    pub range: Option<[f64; 2]>,
-}
-
-impl Coding {
-    /// The classes its payloads may have.
-    pub fn classes(&self) -> Vec<PayloadClass> {
-        match self.max_error {
-            Some(_) => [8, 16].map(PayloadClass::affine).into(),
-            None => vec![PayloadClass::affine(self.bits)],
-        }
-    }
-
-    fn class(&self, index_bits: u8) -> u8 {
-        u8::from(self.max_error.is_some() && index_bits == 16)
-    }
-
-    /// The demand on bricks of a level, the range seen so far being `seen`.
-    fn demand(&self, level: u8, seen: [f64; 2]) -> Demand {
-        let [low, high] = self.range.unwrap_or(seen);
-        // Halved before the difference and doubled after, which cannot overflow on the way.
-        let width = 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX);
-        Demand { bits: self.bits, bound: self.max_error.map(|e| e * width), bound_is_binding: level == 0 }
-    }
-}
-
 /// What does not change from step to step.
-pub struct Encoder<'a> {
+pub struct Stepper<'a> {
     /// Slabs and levels.
     pub plan: &'a StreamPlan,
     /// The nodes, for their ranks.
     pub tree: &'a Octree,
-    /// Bricks coded at once.
+    /// Bricks cut at once.
     pub batch_bricks: usize,
 }
 
-/// Where the spans of a batch of bricks of one level go.
-pub type PutSpans<'a> = dyn FnMut(u8, Vec<SpanWrite>) -> Result<(), EncodeError> + Send + 'a;
+/// A brick of the step that streams past.
+pub struct CutBrick<'a, T> {
+    /// Its level.
+    pub geometry: &'a LevelGeometry,
+    /// Its place, in bricks.
+    pub brick: [usize; 3],
+    /// Its rank among the nodes of its level.
+    pub rank: u32,
+    /// `[z, y, x]` over core and apron; masked ones are NaN. May be taken.
+    pub samples: &'a mut Vec<T>,
+    /// What is known of them.
+    pub analysis: Analysis,
+    /// Range of all slices of the step that were read so far.
+    pub seen: [f64; 2],
+}
 
-impl Encoder<'_> {
-    /// Reads a step from its first slice to its last and hands on the spans of all bricks: layer by layer as
-    /// [`stream`] completes them, in Morton order within a layer.
+/// What becomes of a brick; called in parallel.
+pub type OfBrick<'a, T, R> = dyn Fn(CutBrick<'_, T>) -> Result<R, EncodeError> + Sync + 'a;
+/// Takes what became of a batch of bricks of one level.
+pub type TakeBatch<'a, R> = dyn FnMut(u8, Vec<R>) -> Result<(), EncodeError> + Send + 'a;
+
+impl Stepper<'_> {
+    /// Reads a step from its first slice to its last and hands on its bricks: layer by layer as [`stream`] completes
+    /// them, in Morton order within a layer.
     ///
-    /// * `seen`: range of the variable over all steps before
-    /// * `put`: takes batches one after the other, each while the next is coded
-    /// * `on_bricks`: told how many bricks of which level were coded
-    pub fn encode_step<T: Real + SampleValue>(
+    /// * `take`: takes batches one after the other, each while the next is under way
+    /// * `on_bricks`: told how many bricks of which level were cut
+    pub fn each_brick<T: Real, R: Send>(
         &self,
         reader: Box<dyn StepReader + '_>,
-        coding: &Coding,
-        step: usize,
-        seen: [f64; 2],
-        put: &mut PutSpans<'_>,
+        fill_value: Option<f64>,
+        of_brick: &OfBrick<'_, T, R>,
+        take: &mut TakeBatch<'_, R>,
         on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        let mut coded: Option<(u8, Vec<SpanWrite>)> = None;
-        let marks = stream::<T, EncodeError>(reader, self.plan, coding.fill_value, &mut |layer| {
-            let seen = [seen[0].min(layer.marks.range[0]), seen[1].max(layer.marks.range[1])];
+        let mut done: Option<(u8, Vec<R>)> = None;
+        let marks = stream::<T, EncodeError>(reader, self.plan, fill_value, &mut |layer| {
             let level = layer.window.geometry.level;
-            let demand = coding.demand(level, seen);
-            let bricks = self.bricks_of(&layer.window.geometry, layer.z);
+            let bricks = bricks_of(self.tree, &layer.window.geometry, layer.z);
             for batch in bricks.chunks(self.batch_bricks) {
-                let before = coded.take();
-                let (spans, written) = rayon::join(
-                    || self.batch(&layer, batch, coding, &demand, step),
-                    || before.map_or(Ok(()), |(level, spans)| put(level, spans)),
+                let before = done.take();
+                let (results, taken) = rayon::join(
+                    || self.batch(&layer, batch, of_brick),
+                    || before.map_or(Ok(()), |(level, results)| take(level, results)),
                 );
-                written?;
-                coded = Some((level, spans?));
+                taken?;
+                done = Some((level, results?));
                 on_bricks(level, batch.len());
             }
             Ok(())
         })?;
-        coded.map_or(Ok(()), |(level, spans)| put(level, spans))?;
+        done.map_or(Ok(()), |(level, results)| take(level, results))?;
         Ok(marks)
     }
 
-    /// Ranks and places of the bricks of a layer, by rank.
-    fn bricks_of(&self, geometry: &LevelGeometry, z: usize) -> Vec<(u32, [usize; 3])> {
-        let [nx, ny, _] = geometry.bricks;
-        let mut bricks: Vec<_> = (0..ny)
-            .flat_map(|y| (0..nx).map(move |x| [x, y, z]))
-            .filter_map(|brick| {
-                let node = NodeId::new(geometry.level, brick.map(|b| b as u32));
-                self.tree.rank(node).map(|rank| (rank as u32, brick))
-            })
-            .collect();
-        bricks.sort_unstable();
-        bricks
-    }
-
-    fn batch<T: Real + SampleValue>(
+    fn batch<T: Real, R: Send>(
         &self,
         layer: &Layer<'_, T>,
         batch: &[(u32, [usize; 3])],
-        coding: &Coding,
-        demand: &Demand,
-        step: usize,
-    ) -> Result<Vec<SpanWrite>, EncodeError> {
-        let layout = &self.plan.layout;
+        of_brick: &OfBrick<'_, T, R>,
+    ) -> Result<Vec<R>, EncodeError> {
         let geometry = &layer.window.geometry;
-        let spans: Vec<Result<SpanWrite, EncodeError>> = batch
+        let results: Vec<Result<R, EncodeError>> = batch
             .par_iter()
             .map_init(Vec::new, |samples: &mut Vec<T>, &(rank, brick)| {
-                let may_be_masked = cut(layer.window, brick, layout, samples);
-                let analysis = analyse(samples, may_be_masked, brick, geometry, layout);
-                let coded = code(samples, &analysis, demand, layout)
-                    .map_err(|refusal| refused(refusal, coding, step, geometry.level, brick))?;
-                Ok(self.span(rank, step, coded, &analysis, coding))
+                let may_be_masked = cut(layer.window, brick, &self.plan.layout, samples);
+                let analysis = analyse(samples, may_be_masked, brick, geometry, &self.plan.layout);
+                of_brick(CutBrick { geometry, brick, rank, samples, analysis, seen: layer.marks.range })
             })
             .collect();
         // In order, so that of several errors it is always the first.
-        spans.into_iter().collect()
-    }
-
-    fn span(
-        &self,
-        node_rank: u32,
-        step: usize,
-        coded: CodedBrick,
-        analysis: &Analysis,
-        coding: &Coding,
-    ) -> SpanWrite {
-        let content = match coded.choice {
-            Choice::Empty => SpanContent::Empty,
-            Choice::Constant(value) => SpanContent::Constant(value),
-            Choice::Coded(payload) => SpanContent::Coded {
-                class: coding.class(payload.stages[0].indices.bits()),
-                stages: payload.stages.iter().map(|stage| stage_to_bytes(stage, &self.plan.layout)).collect(),
-            },
-        };
-        SpanWrite {
-            node_rank,
-            start: step as u32,
-            len: 1,
-            window: 1,
-            content,
-            mask: coded.mask,
-            drawn_range: coded.drawn_range,
-            statistics: analysis.statistics,
-        }
+        results.into_iter().collect()
     }
 }
 
-fn refused(refusal: Refusal, coding: &Coding, step: usize, level: u8, brick: [usize; 3]) -> EncodeError {
-    let variable = coding.name.clone();
-    match refusal {
-        Refusal::Bound { error, bound } => EncodeError::Bound {
-            variable,
-            step,
-            brick,
-            max_error: coding.max_error.unwrap_or(0.0),
-            error,
-            bound,
-        },
-        Refusal::Codec(source) => {
-            EncodeError::Brick { variable, step, level, brick, source: Box::new(source) }
-        }
-    }
+/// Ranks and places of the bricks of a layer, by rank.
+pub fn bricks_of(tree: &Octree, geometry: &LevelGeometry, z: usize) -> Vec<(u32, [usize; 3])> {
+    let [nx, ny, _] = geometry.bricks;
+    let mut bricks: Vec<_> = (0..ny)
+        .flat_map(|y| (0..nx).map(move |x| [x, y, z]))
+        .filter_map(|brick| {
+            let node = NodeId::new(geometry.level, brick.map(|b| b as u32));
+            tree.rank(node).map(|rank| (rank as u32, brick))
+        })
+        .collect();
+    bricks.sort_unstable();
+    bricks
 }

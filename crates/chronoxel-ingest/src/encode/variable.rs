@@ -1,0 +1,268 @@
+//! One variable on its way through the steps: how it is coded, what waits, and the range seen so far.
+
+use std::path::Path;
+
+use chronoxel_codec::{PayloadClass, stage_to_bytes};
+use chronoxel_core::{BrickLayout, Octree};
+use chronoxel_store::{SpanContent, SpanWrite, StoreWriter};
+
+use super::coding::{Choice, CodedBrick, code};
+use super::mark::Marks;
+use super::real::Real;
+use super::step::{CutBrick, Stepper};
+use super::timing::Timing;
+use super::windowed::{Arrival, Method, NodeCoder, OpenWindows};
+use crate::{EncodeError, StepReader, TimeSeries};
+
+/// How a variable is to be coded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Coding {
+    /// Its name, for messages.
+    pub name: String,
+    /// Value that means "no data".
+    pub fill_value: Option<f64>,
+    /// The range errors refer to, where the user gave one.
+    pub range: Option<[f64; 2]>,
+    /// The method.
+    pub how: How,
+}
+
+/// One step at a time, or windows of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum How {
+    /// Each step by itself, quantised within the range of each brick.
+    Steps {
+        /// Bits of an index.
+        bits: u8,
+    },
+    /// Windows of steps.
+    Windows {
+        /// Steps of the longest: a power of two.
+        window: u32,
+        /// How they are coded.
+        method: Method,
+    },
+}
+
+impl How {
+    /// Window lengths that spans may have.
+    pub fn windows(&self) -> Vec<u32> {
+        match self {
+            Self::Steps { .. } => vec![1],
+            Self::Windows { window, .. } => (0..=window.ilog2()).map(|log| 1 << log).collect(),
+        }
+    }
+
+    /// Steps of the longest window.
+    pub fn window(&self) -> u32 {
+        match self {
+            Self::Steps { .. } => 1,
+            Self::Windows { window, .. } => *window,
+        }
+    }
+
+    /// Copies of a window's samples that coding one node holds; 0 where nothing waits.
+    pub fn copies(&self) -> u64 {
+        match self {
+            Self::Steps { .. } => 0,
+            // The samples, in units of their range, a residual, indices and tables.
+            Self::Windows { method: Method::Palettes { .. }, .. } => 5,
+        }
+    }
+
+    /// Classes that payloads may have.
+    pub fn classes(&self) -> Vec<PayloadClass> {
+        match self {
+            Self::Steps { bits } => vec![PayloadClass::affine(*bits)],
+            Self::Windows { window, method } => method.classes(*window),
+        }
+    }
+}
+
+/// A variable and what the encoder keeps of it from step to step.
+pub struct VariableEncoder<'a> {
+    /// Its index in the series.
+    index: usize,
+    /// Its index in the store.
+    variable: usize,
+    coding: &'a Coding,
+    classes: Vec<PayloadClass>,
+    open: OpenSteps,
+    /// Range of the source up to each of the last steps; the last is that of the last step read.
+    ranges: Vec<[f64; 2]>,
+}
+
+enum OpenSteps {
+    None,
+    F32(OpenWindows<f32>),
+    F64(OpenWindows<f64>),
+}
+
+/// What coding a step needs besides the variable.
+pub struct StepTask<'a> {
+    /// Slabs, levels, nodes.
+    pub stepper: Stepper<'a>,
+    /// Nodes whose windows are coded at once.
+    pub batch_nodes: usize,
+    /// The step.
+    pub step: u32,
+}
+
+impl<'a> VariableEncoder<'a> {
+    /// Before the first step, or as an interrupted run left it.
+    ///
+    /// * `folder`: where a scratch file may lie
+    /// * `scratch_bytes`: what may wait in memory
+    /// * `ranges`: range of the source up to each of the last steps before the one to read next
+    pub fn new(
+        index: usize,
+        variable: usize,
+        coding: &'a Coding,
+        fits_f32: bool,
+        places: &Places<'_>,
+        ranges: Vec<[f64; 2]>,
+    ) -> Result<Self, EncodeError> {
+        let Places { tree, layout, num_steps, folder, scratch_bytes } = *places;
+        let open = match coding.how {
+            How::Steps { .. } => OpenSteps::None,
+            How::Windows { window, .. } => {
+                let timing = Timing { window, num_steps };
+                match fits_f32 {
+                    true => OpenSteps::F32(OpenWindows::new(timing, tree, layout, folder, scratch_bytes)?),
+                    false => OpenSteps::F64(OpenWindows::new(timing, tree, layout, folder, scratch_bytes)?),
+                }
+            }
+        };
+        Ok(Self { index, variable, coding, classes: coding.how.classes(), open, ranges })
+    }
+
+    /// Ranges of the source up to each of the last steps: what a resume needs.
+    pub fn ranges(&self) -> &[[f64; 2]] {
+        &self.ranges
+    }
+
+    /// Reads a step and puts the spans that it completes.
+    pub fn encode_step(
+        &mut self,
+        series: &mut dyn TimeSeries,
+        task: &StepTask<'_>,
+        writer: &mut StoreWriter,
+        on_bricks: &mut dyn FnMut(u8, usize),
+    ) -> Result<Marks, EncodeError> {
+        let fits_f32 = series.variables()[self.index].sample_type.fits_f32();
+        let reader = series.open_step(self.index, task.step as usize)?;
+        let Self { variable, coding, classes, ranges, .. } = self;
+        let run = VariableStep { variable: *variable, coding, classes, task };
+        match &mut self.open {
+            OpenSteps::None if fits_f32 => run.steps::<f32>(reader, writer, on_bricks),
+            OpenSteps::None => run.steps::<f64>(reader, writer, on_bricks),
+            OpenSteps::F32(open) => run.windows(reader, open, ranges, writer, on_bricks),
+            OpenSteps::F64(open) => run.windows(reader, open, ranges, writer, on_bricks),
+        }
+    }
+}
+
+/// What the windows of all variables share.
+#[derive(Clone, Copy)]
+pub struct Places<'a> {
+    /// The nodes.
+    pub tree: &'a Octree,
+    /// The shape of bricks.
+    pub layout: &'a BrickLayout,
+    /// Steps of the series.
+    pub num_steps: u32,
+    /// Where a scratch file may lie.
+    pub folder: &'a Path,
+    /// What may wait in memory, of each variable.
+    pub scratch_bytes: u64,
+}
+
+/// One step of one variable.
+struct VariableStep<'a> {
+    variable: usize,
+    coding: &'a Coding,
+    classes: &'a [PayloadClass],
+    task: &'a StepTask<'a>,
+}
+
+impl VariableStep<'_> {
+    /// Each brick is coded at once.
+    fn steps<T: Real>(
+        &self,
+        reader: Box<dyn StepReader + '_>,
+        writer: &mut StoreWriter,
+        on_bricks: &mut dyn FnMut(u8, usize),
+    ) -> Result<Marks, EncodeError> {
+        let of_brick = |brick: CutBrick<'_, T>| self.span(brick);
+        let mut put = |level, spans| Ok(writer.put(self.variable, level, spans)?);
+        self.task.stepper.each_brick::<T, SpanWrite>(reader, self.coding.fill_value, &of_brick, &mut put, on_bricks)
+    }
+
+    fn span<T: Real>(&self, brick: CutBrick<'_, T>) -> Result<SpanWrite, EncodeError> {
+        let layout = &self.task.stepper.plan.layout;
+        let How::Steps { bits } = self.coding.how else { unreachable!("windows are coded when they end") };
+        let step = self.task.step;
+        let CodedBrick { choice, mask, drawn_range } =
+            code(brick.samples, &brick.analysis, bits, layout).map_err(|refusal| {
+                refusal.into_error(&self.coding.name, step as usize, brick.geometry.level, brick.brick, 0.0)
+            })?;
+        let content = match choice {
+            Choice::Empty => SpanContent::Empty,
+            Choice::Constant(value) => SpanContent::Constant(value),
+            Choice::Coded(payload) => SpanContent::Coded {
+                class: 0,
+                stages: payload.stages.iter().map(|stage| stage_to_bytes(stage, layout)).collect(),
+            },
+        };
+        let statistics = brick.analysis.statistics;
+        Ok(SpanWrite {
+            node_rank: brick.rank,
+            start: step,
+            len: 1,
+            window: 1,
+            content,
+            mask,
+            drawn_range,
+            statistics,
+        })
+    }
+
+    /// Bricks wait; those whose windows end with the step are coded once it is read.
+    fn windows<T: Real>(
+        &self,
+        reader: Box<dyn StepReader + '_>,
+        open: &mut OpenWindows<T>,
+        ranges: &mut Vec<[f64; 2]>,
+        writer: &mut StoreWriter,
+        on_bricks: &mut dyn FnMut(u8, usize),
+    ) -> Result<Marks, EncodeError> {
+        let How::Windows { window, method } = self.coding.how else { unreachable!("single steps have no windows") };
+        let StepTask { stepper, batch_nodes, step } = self.task;
+        // A resume reads some steps again: what was put of them already does not wait.
+        let is_put = |level, rank| writer.covered_until(self.variable, level, rank) > *step;
+        let of_brick = |brick: CutBrick<'_, T>| {
+            Ok((!is_put(brick.geometry.level, brick.rank)).then(|| Arrival::new(brick)))
+        };
+        let mut wait = |level, arrivals: Vec<Option<Arrival<T>>>| open.wait(level, arrivals.into_iter().flatten());
+        let marks = stepper.each_brick(reader, self.coding.fill_value, &of_brick, &mut wait, on_bricks)?;
+        let [low, high] = ranges.last().copied().unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
+        ranges.push([low.min(marks.range[0]), high.max(marks.range[1])]);
+        // A resume goes back to the first step of an open window at most.
+        if ranges.len() > window as usize + 1 {
+            ranges.remove(0);
+        }
+        let coder = NodeCoder {
+            layout: &stepper.plan.layout,
+            levels: &stepper.plan.levels,
+            tree: stepper.tree,
+            method,
+            range: self.coding.range.unwrap_or(ranges[ranges.len() - 1]),
+            classes: self.classes,
+            variable: &self.coding.name,
+            batch_nodes: *batch_nodes,
+        };
+        let mut put = |level, spans| Ok(writer.put(self.variable, level, spans)?);
+        open.close(*step, &coder, &mut put)?;
+        Ok(marks)
+    }
+}
