@@ -166,27 +166,39 @@ fn nearest_of_block<const N: usize>(
     prices: &[f32],
 ) -> ([u32; LANES], [f32; LANES]) {
     let (mut indices, mut costs) = ([0u32; LANES], [f32::INFINITY; LANES]);
-    let mut consider = |entry: u32, cost: [f32; LANES]| {
-        for lane in 0..LANES {
-            let less = cost[lane] < costs[lane];
-            costs[lane] = if less { cost[lane] } else { costs[lane] };
-            indices[lane] = if less { entry } else { indices[lane] };
-        }
-    };
     if let [block] = blocks {
         for ((number, entry), &price) in (0u32..).zip(entries).zip(prices) {
             let mut cost = [0.0f32; LANES];
             add_squared_distance(&mut cost, block, entry);
-            consider(number, cost.map(|c| c + price));
+            consider(number, &cost, price, &mut indices, &mut costs);
         }
     } else {
         for ((number, runs), &price) in (0u32..).zip(entries.chunks_exact(blocks.len())).zip(prices) {
             let mut cost = [0.0f32; LANES];
-            blocks.iter().zip(runs).for_each(|(block, run)| add_squared_distance(&mut cost, block, run));
-            consider(number, cost.map(|c| c + price));
+            for (block, run) in blocks.iter().zip(runs) {
+                add_squared_distance(&mut cost, block, run);
+            }
+            consider(number, &cost, price, &mut indices, &mut costs);
         }
     }
     (indices, costs)
+}
+
+/// Takes an entry where it costs less than the best before it.
+#[inline(always)]
+fn consider(
+    entry: u32,
+    cost: &[f32; LANES],
+    price: f32,
+    indices: &mut [u32; LANES],
+    costs: &mut [f32; LANES],
+) {
+    for lane in 0..LANES {
+        let cost = cost[lane] + price;
+        let less = cost < costs[lane];
+        costs[lane] = if less { cost } else { costs[lane] };
+        indices[lane] = if less { entry } else { indices[lane] };
+    }
 }
 
 #[inline(always)]
