@@ -9,6 +9,7 @@ pub mod decode;
 pub mod error;
 pub mod payload;
 pub mod quantize;
+pub mod vq;
 pub mod window;
 
 pub use bytes::{stage_from_bytes, stage_to_bytes};
@@ -17,4 +18,5 @@ pub use decode::{decode_f64, decode_resident, decoded_range};
 pub use error::CodecError;
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
+pub use vq::vector_palette;
 pub use window::{Palette, UnitWindow};
