@@ -33,6 +33,9 @@ use output::Output;
 use step::{Coding, Encoder};
 use stream::StreamPlan;
 
+/// Level 3 saves little on bricks and costs twice the time.
+const ZSTD_LEVEL: i32 = 1;
+
 /// Encodes a series into the store `output`.
 ///
 /// Each step is read once, in order, front to back. Runs on the ambient rayon pool and one more thread, which reads
@@ -105,6 +108,7 @@ impl Job {
             layout,
             tree: Octree::full(&levels),
             variables: described.collect(),
+            zstd_level: ZSTD_LEVEL,
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };
