@@ -44,6 +44,9 @@ use step::Stepper;
 use stream::StreamPlan;
 use variable::{Coding, How, Places, StepTask, VariableEncoder};
 
+/// Level 3 saves little on bricks and costs twice the time.
+const ZSTD_LEVEL: i32 = 1;
+
 /// Encodes a series into the store `output`.
 ///
 /// Each step is read once, in order, front to back. Runs on the ambient rayon pool and one more thread, which reads
@@ -120,6 +123,7 @@ impl Job {
             layout,
             tree: Octree::full(&levels),
             variables: described.collect(),
+            zstd_level: ZSTD_LEVEL,
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };

@@ -58,6 +58,7 @@ fn adaptive_store(folder: &std::path::Path, mask: Option<BitMask>) -> Store {
             windows: vec![1],
             classes: vec![PayloadClass::affine(16)],
         }],
+        zstd_level: 1,
         encoder: serde_json::Value::Null,
     };
     let mut writer = StoreWriter::create(&path, &description, false).unwrap();

@@ -100,6 +100,7 @@ fn whole(layout: &BrickLayout, bricks: &[Vec<f32>], bits: u8, folder: &Path) {
             windows: vec![1],
             classes: vec![PayloadClass::affine(bits)],
         }],
+        zstd_level: 1,
         encoder: serde_json::Value::Null,
     };
     let path = folder.join("bench.cxl");

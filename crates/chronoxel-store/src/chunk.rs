@@ -4,11 +4,9 @@ use std::cell::RefCell;
 
 use zstd::bulk::{Compressor, Decompressor};
 
-/// Level of zstd that the writer uses.
-pub const ZSTD_LEVEL: i32 = 1;
-
 thread_local! {
     static COMPRESSOR: RefCell<Option<(i32, Compressor<'static>)>> = const { RefCell::new(None) };
+    static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
     static DECOMPRESSOR: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
 }
 
@@ -17,17 +15,41 @@ pub(crate) fn largest_stored(num_bytes: usize) -> usize {
     zstd::zstd_safe::compress_bound(num_bytes) + 4
 }
 
+/// Bytes that a stage of a payload takes on disk: a zstd frame and its checksum, as [`crate::StoreWriter::put`] writes
+/// them. Each thread keeps its compressor and its buffer, so that many may ask at once.
+///
+/// * `zstd_level`: that of the store, [`crate::StoreDescription::zstd_level`]
+///
+/// # Panics
+/// If there is no memory for the compressor.
+pub fn stored_len(bytes: &[u8], zstd_level: i32) -> usize {
+    let len = SCRATCH.with_borrow_mut(|scratch| {
+        scratch.clear();
+        encode_to(bytes, zstd_level, scratch).map(|()| scratch.len())
+    });
+    len.expect("zstd fails for want of memory only")
+}
+
 /// The stored form of a chunk's bytes.
 pub(crate) fn encode(bytes: &[u8], level: i32) -> std::io::Result<Vec<u8>> {
+    let mut stored = Vec::new();
+    encode_to(bytes, level, &mut stored)?;
+    // It is kept until it is written: not with the room that the worst case asked for.
+    stored.shrink_to_fit();
+    Ok(stored)
+}
+
+fn encode_to(bytes: &[u8], level: i32, stored: &mut Vec<u8>) -> std::io::Result<()> {
     COMPRESSOR.with_borrow_mut(|slot| {
         let compressor = match slot {
             Some((at, compressor)) if *at == level => compressor,
             _ => &mut slot.insert((level, Compressor::new(level)?)).1,
         };
-        let mut stored = compressor.compress(bytes)?;
-        let crc = crc32c::crc32c(&stored);
+        stored.reserve(largest_stored(bytes.len()));
+        compressor.compress_to_buffer(bytes, stored)?;
+        let crc = crc32c::crc32c(stored);
         stored.extend_from_slice(&crc.to_le_bytes());
-        Ok(stored)
+        Ok(())
     })
 }
 

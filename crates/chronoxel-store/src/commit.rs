@@ -173,6 +173,7 @@ impl StoreWriter {
             num_steps_finished: self.header.num_steps_finished,
             totals: self.header.totals,
             ranges: self.header.variables.iter().map(|v| [v.min, v.max]).collect(),
+            carry: self.carry.clone(),
             unsynced: self.unsynced_relative(),
             num_digests: self.num_digests,
             digests_crc: self.digests_crc,

@@ -50,6 +50,8 @@ pub struct StoreDescription {
     pub tree: Octree,
     /// The variables, at least one.
     pub variables: Vec<VariableDescription>,
+    /// Level of zstd for payloads and masks, -7 to 22.
+    pub zstd_level: i32,
     /// Options of the encoder and the name of the source: kept as they are, and compared by a resume.
     pub encoder: Value,
 }
@@ -170,11 +172,8 @@ impl Header {
     }
 
     /// The header of a store of which nothing is written yet.
-    pub(crate) fn of_description(
-        description: &StoreDescription,
-        zstd_level: i32,
-    ) -> Result<Self, StoreError> {
-        let StoreDescription { grid, times, layout, tree, variables, encoder } = description;
+    pub(crate) fn of_description(description: &StoreDescription) -> Result<Self, StoreError> {
+        let StoreDescription { grid, times, layout, tree, variables, zstd_level, encoder } = description;
         let geometry = levels_of(grid, layout);
         if tree.num_levels() != geometry.len() {
             let remedy = format!("the grid has {} levels of bricks", geometry.len());
@@ -208,7 +207,7 @@ impl Header {
             levels,
             variables: entries,
             steps_per_shard: layout::steps_per_shard(grid, layout),
-            zstd_level,
+            zstd_level: *zstd_level,
             num_steps_finished: 0,
             totals: Totals::default(),
             encoder: encoder.clone(),

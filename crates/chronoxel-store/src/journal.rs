@@ -12,7 +12,7 @@ use crate::{StoreError, Totals, arrays::ArrayKind, files};
 
 /// The folder of the journal.
 pub(crate) const FOLDER: &str = ".partial";
-const MAGIC: &[u8; 8] = b"CXLSTAT1";
+const MAGIC: &[u8; 8] = b"CXLSTAT2";
 
 /// The state's description; the numbers it counts follow it in the file, in the same order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -22,6 +22,8 @@ pub(crate) struct StateSummary {
     pub num_steps_finished: u32,
     pub totals: Totals,
     pub ranges: Vec<[Option<f64>; 2]>,
+    /// What the encoder must remember.
+    pub carry: serde_json::Value,
     /// Files that may not be on disk yet, relative to the store, and their lengths.
     pub unsynced: Vec<(PathBuf, u64)>,
     pub num_digests: u64,

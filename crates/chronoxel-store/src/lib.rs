@@ -26,6 +26,7 @@ pub mod verify;
 mod verify_shard;
 pub mod writer;
 
+pub use chunk::stored_len;
 pub use error::StoreError;
 pub use header::{Header, LevelEntry, StoreDescription, Totals, VariableDescription, VariableEntry};
 pub use span_write::{SpanContent, SpanWrite};

@@ -7,7 +7,7 @@ use std::{
 };
 
 use crate::{
-    StoreDescription, StoreError, chunk,
+    StoreDescription, StoreError,
     digest::{DigestEntry, ENTRY_BYTES},
     files,
     header::{Header, Totals},
@@ -28,7 +28,7 @@ impl StoreWriter {
     /// [`StoreError::InvalidArgument`] if the store was begun with another description or options,
     /// [`StoreError::Corrupt`] if its journal is damaged, [`StoreError::Io`] if the system refuses.
     pub fn resume(path: &Path, description: &StoreDescription) -> Result<(Self, u32), StoreError> {
-        let header = Header::of_description(description, chunk::ZSTD_LEVEL)?;
+        let header = Header::of_description(description)?;
         let partial = partial_path(path);
         if !path.exists() && partial.is_dir() {
             files::rename(&partial, path)?;
@@ -88,6 +88,7 @@ impl StoreWriter {
         }
         writer.header.num_steps_finished = summary.num_steps_finished;
         writer.header.totals = summary.totals;
+        writer.carry = summary.carry.clone();
         for (entry, range) in writer.header.variables.iter_mut().zip(&summary.ranges) {
             [entry.min, entry.max] = *range;
         }

@@ -11,12 +11,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use serde_json::Value;
+
 use crate::arrays::{ArrayId, ShardId};
 use crate::{
     SpanWrite, StoreDescription, StoreError, Totals,
     arrays::{ArrayKind, SpanChunkId},
     cache::ByteCache,
-    chunk,
     digest::{DigestEntry, DigestTable, MAX_DIGESTS},
     files,
     header::Header,
@@ -51,6 +52,8 @@ pub struct StoreWriter {
     /// Files that may not be on disk yet, and their lengths.
     pub(crate) unsynced: Vec<(PathBuf, u64)>,
     pub(crate) unsynced_bytes: u64,
+    /// What the encoder must remember for a resume.
+    pub(crate) carry: Value,
     /// Set while a put or commit is under way, and left so by one that failed.
     pub(crate) failed: bool,
 }
@@ -70,7 +73,7 @@ impl StoreWriter {
     /// [`StoreError::InvalidArgument`] if the folder is in the way or the description is not sound,
     /// [`StoreError::Io`] if the system refuses.
     pub fn create(path: &Path, description: &StoreDescription, overwrite: bool) -> Result<Self, StoreError> {
-        let header = Header::of_description(description, chunk::ZSTD_LEVEL)?;
+        let header = Header::of_description(description)?;
         make_room(path, overwrite)?;
         let journal = path.join(journal::FOLDER);
         fs::create_dir_all(&journal).map_err(StoreError::io(&journal, "create"))?;
@@ -120,6 +123,7 @@ impl StoreWriter {
             closed_shards: ByteCache::new(16 << 20, 64),
             unsynced: Vec::new(),
             unsynced_bytes: 0,
+            carry: Value::Null,
             failed: false,
         })
     }
@@ -135,6 +139,18 @@ impl StoreWriter {
     /// If variable, level or node is out of range.
     pub fn covered_until(&self, variable: usize, level: u8, node_rank: u32) -> u32 {
         self.covered[variable][usize::from(level)][node_rank as usize]
+    }
+
+    /// What the encoder said last with [`Self::set_carry`], or after a resume what it had said before the commit that
+    /// the resume goes on from; null before that.
+    pub fn carry(&self) -> &Value {
+        &self.carry
+    }
+
+    /// Says what the encoder must remember for a resume, a small value. It is kept in the journal from the next commit on
+    /// (every G steps, as [`Self::commit_step`] says), together with what that commit keeps, and is gone with the journal once the store is finished.
+    pub fn set_carry(&mut self, carry: Value) {
+        self.carry = carry;
     }
 
     /// Appends a batch of spans of one variable and level. Each node's spans come in the order of time, without gaps;

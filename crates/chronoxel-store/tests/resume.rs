@@ -137,6 +137,31 @@ fn what_was_finished_is_kept_when_a_writer_gives_up() {
 }
 
 #[test]
+fn what_the_encoder_carries_is_that_of_the_commit() {
+    let folder = tempfile::tempdir().unwrap();
+    let description = description([20, 13, 9], 70);
+    let path = folder.path().join("a.cxl");
+    let carried = |step: u32| serde_json::json!({ "step": step, "rate": 0.1 + f64::from(step) });
+    let mut writer = StoreWriter::create(&path, &description, false).unwrap();
+    assert!(writer.carry().is_null());
+    drop(writer);
+    assert!(StoreWriter::resume(&path, &description).unwrap().0.carry().is_null());
+    writer = StoreWriter::resume(&path, &description).unwrap().0;
+    for step in 0..66 {
+        writer.set_carry(carried(step));
+        write_steps(&mut writer, &description, step..step + 1).unwrap();
+    }
+    assert_eq!(*writer.carry(), carried(65));
+    drop(writer);
+    // Steps 64 and 65 were never committed.
+    let (writer, next) = StoreWriter::resume(&path, &description).unwrap();
+    assert_eq!((next, writer.carry().clone()), (64, carried(63)));
+    drop(writer);
+    resume_and_finish(&path, &description);
+    assert!(StoreWriter::resume(&path, &description).unwrap().0.carry().is_null());
+}
+
+#[test]
 fn another_description_or_a_damaged_journal_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let first = description([20, 13, 9], 70);

@@ -4,7 +4,7 @@ mod common;
 
 use chronoxel_codec::{decode_f64, decode_resident};
 use chronoxel_core::{NodeId, SpanKind};
-use chronoxel_store::{Store, StoreWriter};
+use chronoxel_store::{SpanContent, Store, StoreWriter, stored_len};
 
 use common::{description, field, samples, write_steps, write_store};
 
@@ -74,6 +74,45 @@ fn equal_payloads_are_stored_once() {
     assert!(totals.shared as usize >= 4 * num_nodes && totals.masks < totals.masked, "{totals:?}");
     assert_eq!(store.header().variables[1].folder, "variable-1");
     assert_eq!((store.header().variables[1].min, store.header().variables[1].max), (Some(0.0), Some(177.0)));
+}
+
+#[test]
+fn stored_lengths_are_known_before_writing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sizes = Vec::new();
+    for zstd_level in [1, 19, -3] {
+        let path = folder.path().join(format!("{zstd_level}.cxl"));
+        let mut description = description([8, 8, 8], 6);
+        description.zstd_level = zstd_level;
+        let mut spans = Vec::new();
+        for step in 0..6 {
+            spans.extend(common::spans_of(&description, 0, 0, step, field));
+        }
+        let stages = spans.iter().filter_map(|span| match &span.content {
+            SpanContent::Coded { stages, .. } => Some(stages),
+            _ => None,
+        });
+        let stages: Vec<&Vec<u8>> = stages.flatten().collect();
+        assert_eq!(stages.len(), 6);
+        // From many threads at once, and levels taking turns on each.
+        let lens = std::thread::scope(|scope| {
+            let threads = [0, 1].map(|_| {
+                scope.spawn(|| {
+                    let lens = |level| stages.iter().map(|s| stored_len(s, level)).sum::<usize>();
+                    assert_ne!(lens(5), 0);
+                    lens(zstd_level)
+                })
+            });
+            threads.map(|thread| thread.join().unwrap())
+        });
+        assert_eq!(lens[0], lens[1]);
+        let mut writer = StoreWriter::create(&path, &description, false).unwrap();
+        writer.put(0, 0, spans).unwrap();
+        assert_eq!(writer.header().totals.payload_bytes, lens[0] as u64);
+        assert_eq!(writer.header().zstd_level, zstd_level);
+        sizes.push(lens[0]);
+    }
+    assert!(sizes[1] < sizes[0] && sizes[0] <= sizes[2], "{sizes:?}");
 }
 
 #[test]
