@@ -55,7 +55,10 @@ impl SpanStatistics {
         let square = |x: f64| (x / unit) * (x / unit);
         let std = match unit {
             0.0 => 0.0,
-            _ => unit * (a * square(self.std) + b * square(other.std) + 4.0 * a * b * square(half_apart)).sqrt(),
+            _ => {
+                unit * (a * square(self.std) + b * square(other.std) + 4.0 * a * b * square(half_apart))
+                    .sqrt()
+            }
         };
         // No deviation exceeds half the range; rounding may.
         Self { count, min, max, mean, std: std.min(0.5 * max - 0.5 * min) }

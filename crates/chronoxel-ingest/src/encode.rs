@@ -42,7 +42,7 @@ use budget::Portions;
 use output::Output;
 use step::Stepper;
 use stream::StreamPlan;
-use variable::{Coding, How, Places, StepTask, VariableEncoder};
+use variable::{Coding, Places, StepTask, VariableEncoder};
 
 /// Level 3 saves little on bricks and costs twice the time.
 const ZSTD_LEVEL: i32 = 1;
@@ -171,7 +171,8 @@ impl Job {
                     let done_bytes = told.done_bytes + (bytes as f64 * share) as u64;
                     progress(Progress { done_bytes, ..told.clone() });
                 };
-                let marks = encoder.encode_step(series, &self.task(step), writer, &mut self.shares(&mut on_share))?;
+                let marks =
+                    encoder.encode_step(series, &self.task(step), writer, &mut self.shares(&mut on_share))?;
                 told.done_bytes += bytes;
                 report.num_masked += marks.num_masked;
                 report.num_infinite += marks.num_infinite;
@@ -200,12 +201,12 @@ impl Job {
             folder,
             scratch_bytes: self.portions.scratch_bytes / self.variables.len() as u64,
         };
-        let encoder = |(variable, (index, coding)): (usize, &'_ (usize, Coding))| {
+        let encoders = self.variables.iter().enumerate().map(|(variable, (index, coding))| {
             let ranges = ranges_before(writer.carry(), variable, first);
             let fits_f32 = series.variables()[*index].sample_type.fits_f32();
             VariableEncoder::new(*index, variable, coding, fits_f32, &places, ranges)
-        };
-        self.variables.iter().enumerate().map(encoder).collect()
+        });
+        encoders.collect()
     }
 
     fn task(&self, step: usize) -> StepTask<'_> {
@@ -242,6 +243,7 @@ fn ranges_before(carry: &Value, variable: usize, first: usize) -> Vec<[f64; 2]> 
     // JSON has no infinities: those of a range without samples are null.
     let ranges = Vec::<[Option<f64>; 2]>::deserialize(&carry["ranges"][variable]).unwrap_or_default();
     let num_after = (last + 1).saturating_sub(first).min(ranges.len());
-    let range = |[low, high]: [Option<f64>; 2]| [low.unwrap_or(f64::INFINITY), high.unwrap_or(f64::NEG_INFINITY)];
+    let range =
+        |[low, high]: [Option<f64>; 2]| [low.unwrap_or(f64::INFINITY), high.unwrap_or(f64::NEG_INFINITY)];
     ranges[..ranges.len() - num_after].iter().copied().map(range).collect()
 }

@@ -90,7 +90,7 @@ fn noise_is_within_half_a_step_of_each_brick() {
     let mut series = MemorySeries::of([45, 33, 37], SampleType::F32, 1, |_, [x, y, z]| {
         f64::from(noise((x + 50 * (y + 50 * z)) as u64) as f32)
     });
-    for (bits, steps) in [(8, 255.0), (16, 65535.0)] {
+    for (bits, steps) in [(8.0, 255.0), (16.0, 65535.0)] {
         let encoded = encoded(&mut series, &EncodeOptions { bits: Some(bits), ..raw() });
         let worst = pairs(&encoded, &series, 0).iter().map(|(d, s)| (d - s).abs()).fold(0.0, f64::max);
         assert!(worst <= 0.5 / steps * (1.0 + 1e-12), "{bits} bits: {worst}");

@@ -211,7 +211,7 @@ fn unusable_outputs_and_options_are_refused() {
     assert!(error.to_string().contains("file/s.cxl"), "{error}");
     let path = folder.path().join("s.cxl");
     let unusable = [
-        (EncodeOptions { bits: Some(12), max_error: None, ..options() }, "--bits 12"),
+        (EncodeOptions { bits: Some(12.0), max_error: None, ..options() }, "--bits 12"),
         (EncodeOptions { max_error: Some(-0.5), ..options() }, "--max-error -0.5"),
         (EncodeOptions { max_error: Some(f64::NAN), ..options() }, "--max-error NaN"),
         (EncodeOptions { codec: Codec::Raw, ..options() }, "--max-error 0.001"),

@@ -58,8 +58,12 @@ impl Refusal {
     ) -> EncodeError {
         let variable = variable.to_owned();
         match self {
-            Self::Bound { error, bound } => EncodeError::Bound { variable, step, brick, max_error, error, bound },
-            Self::Codec(source) => EncodeError::Brick { variable, step, level, brick, source: Box::new(source) },
+            Self::Bound { error, bound } => {
+                EncodeError::Bound { variable, step, brick, max_error, error, bound }
+            }
+            Self::Codec(source) => {
+                EncodeError::Brick { variable, step, level, brick, source: Box::new(source) }
+            }
         }
     }
 }

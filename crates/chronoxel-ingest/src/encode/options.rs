@@ -137,21 +137,30 @@ impl EncodeOptions {
                 }
                 Codec::Raw | Codec::Auto => {}
                 _ => {
-                    let remedy = format!("--codec {codec} has --window and --stages; --codec auto meets a rate");
+                    let remedy =
+                        format!("--codec {codec} has --window and --stages; --codec auto meets a rate");
                     return invalid("--bits", bits.to_string(), &remedy);
                 }
             }
         }
         if let Some(error) = self.max_error {
             if !(0.0..1.0).contains(&error) {
-                return invalid("--max-error", error.to_string(), "a share of the range: at least 0, below 1");
+                return invalid(
+                    "--max-error",
+                    error.to_string(),
+                    "a share of the range: at least 0, below 1",
+                );
             }
             if self.codec != Codec::Auto {
                 let remedy = format!("goes with --codec auto, not with {codec}");
                 return invalid("--max-error", error.to_string(), &remedy);
             }
             if self.bits.is_some() {
-                return invalid("--max-error", error.to_string(), "chooses the bits itself: leave --bits out");
+                return invalid(
+                    "--max-error",
+                    error.to_string(),
+                    "chooses the bits itself: leave --bits out",
+                );
             }
         }
         if let Some(window) = self.window {
@@ -160,7 +169,8 @@ impl EncodeOptions {
             }
             let by_steps = self.codec == Codec::Auto && self.max_error.is_none() && self.bits.is_none();
             if by_steps || self.codec == Codec::Raw {
-                let remedy = "--codec raw codes each step by itself, and so does auto without --max-error or --bits";
+                let remedy =
+                    "--codec raw codes each step by itself, and so does auto without --max-error or --bits";
                 return invalid("--window", window.to_string(), remedy);
             }
         }

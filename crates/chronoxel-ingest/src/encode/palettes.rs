@@ -1,7 +1,7 @@
 //! Windows as palettes: lum2001's codec and the vector palette, over whole windows of fixed length.
 
 use chronoxel_codec::{
-    CodecError, Palette, Payload, PayloadClass, StageClass, TableClass, UnitWindow, decoded_range, product_palette,
+    CodecError, Palette, Payload, PayloadClass, StageClass, TableClass, UnitWindow, decoded_range,
     vector_palette,
 };
 use chronoxel_core::BrickLayout;
@@ -25,7 +25,9 @@ pub enum PaletteKind {
 /// The classes of payloads of one to `num_stages` stages over windows of up to `window` steps.
 pub fn classes(window: u32, num_stages: usize) -> Vec<PayloadClass> {
     let windows = (0..=window.ilog2()).map(|log| 1 << log);
-    windows.flat_map(|rows| (1..=num_stages).map(move |n| PayloadClass { stages: vec![stage_class(rows); n] })).collect()
+    windows
+        .flat_map(|rows| (1..=num_stages).map(move |n| PayloadClass { stages: vec![stage_class(rows); n] }))
+        .collect()
 }
 
 fn stage_class(rows: u32) -> StageClass {
@@ -42,7 +44,8 @@ pub fn piece<T: Real>(
     layout: &BrickLayout,
 ) -> Result<Piece, CodecError> {
     let samples: Vec<&[T]> = node.samples[steps.clone()].iter().flatten().map(Vec::as_slice).collect();
-    let payload = payload(UnitWindow::new(&samples, node.trained(steps.start))?, window, kind, num_stages, layout)?;
+    let payload =
+        payload(UnitWindow::new(&samples, node.trained(steps.start))?, window, kind, num_stages, layout)?;
     let drawn_range = decoded_range(&payload, layout, steps.len() as u32)?;
     Ok(Piece { start: steps.start, len: steps.len(), window, choice: Choice::Coded(payload), drawn_range })
 }
@@ -58,7 +61,7 @@ fn payload(
     let mut stages = Vec::with_capacity(num_stages);
     loop {
         let palette: Palette = match kind {
-            PaletteKind::Product => product_palette(&samples, NUM_ENTRIES.ilog2()),
+            PaletteKind::Product => vector_palette(&samples, NUM_ENTRIES),
             PaletteKind::Vector => vector_palette(&samples, NUM_ENTRIES),
         };
         stages.push(palette.to_stage(&samples, layout, NUM_ENTRIES, window as usize)?);

@@ -45,7 +45,9 @@ mod tests {
                 let ends: Vec<u32> = (0..num_steps).filter(|&s| timing.closes(phase, s)).collect();
                 assert_eq!(ends.last(), Some(&(num_steps - 1)));
                 let starts = ends.iter().map(|end| end + 1).filter(|&s| s < num_steps);
-                assert!(starts.clone().all(|start| start % window == phase && timing.place(phase, start) == 0));
+                assert!(
+                    starts.clone().all(|start| start % window == phase && timing.place(phase, start) == 0)
+                );
                 // Only the first and the last window are short.
                 assert!(starts.collect::<Vec<_>>().windows(2).all(|pair| pair[1] - pair[0] == window));
             }
@@ -57,7 +59,9 @@ mod tests {
         let timing = Timing { window: 8, num_steps: 100 };
         let nodes = (0..512u32).map(|i| NodeId::new(0, [i % 8, i / 8 % 8, i / 64]));
         let mut closing = [0; 8];
-        nodes.for_each(|node| closing[(0..8).find(|&s| timing.closes(timing.phase(node), 40 + s)).unwrap() as usize] += 1);
+        nodes.for_each(|node| {
+            closing[(0..8).find(|&s| timing.closes(timing.phase(node), 40 + s)).unwrap() as usize] += 1
+        });
         assert_eq!(closing, [64; 8]);
     }
 }

@@ -195,15 +195,21 @@ impl VariableStep<'_> {
     ) -> Result<Marks, EncodeError> {
         let of_brick = |brick: CutBrick<'_, T>| self.span(brick);
         let mut put = |level, spans| Ok(writer.put(self.variable, level, spans)?);
-        self.task.stepper.each_brick::<T, SpanWrite>(reader, self.coding.fill_value, &of_brick, &mut put, on_bricks)
+        self.task.stepper.each_brick::<T, SpanWrite>(
+            reader,
+            self.coding.fill_value,
+            &of_brick,
+            &mut put,
+            on_bricks,
+        )
     }
 
     fn span<T: Real>(&self, brick: CutBrick<'_, T>) -> Result<SpanWrite, EncodeError> {
         let layout = &self.task.stepper.plan.layout;
         let How::Steps { bits } = self.coding.how else { unreachable!("windows are coded when they end") };
         let step = self.task.step;
-        let CodedBrick { choice, mask, drawn_range } =
-            code(brick.samples, &brick.analysis, bits, layout).map_err(|refusal| {
+        let CodedBrick { choice, mask, drawn_range } = code(brick.samples, &brick.analysis, bits, layout)
+            .map_err(|refusal| {
                 refusal.into_error(&self.coding.name, step as usize, brick.geometry.level, brick.brick, 0.0)
             })?;
         let content = match choice {
@@ -236,14 +242,17 @@ impl VariableStep<'_> {
         writer: &mut StoreWriter,
         on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        let How::Windows { window, method } = self.coding.how else { unreachable!("single steps have no windows") };
+        let How::Windows { window, method } = self.coding.how else {
+            unreachable!("single steps have no windows")
+        };
         let StepTask { stepper, batch_nodes, step } = self.task;
         // A resume reads some steps again: what was put of them already does not wait.
         let is_put = |level, rank| writer.covered_until(self.variable, level, rank) > *step;
         let of_brick = |brick: CutBrick<'_, T>| {
             Ok((!is_put(brick.geometry.level, brick.rank)).then(|| Arrival::new(brick)))
         };
-        let mut wait = |level, arrivals: Vec<Option<Arrival<T>>>| open.wait(level, arrivals.into_iter().flatten());
+        let mut wait =
+            |level, arrivals: Vec<Option<Arrival<T>>>| open.wait(level, arrivals.into_iter().flatten());
         let marks = stepper.each_brick(reader, self.coding.fill_value, &of_brick, &mut wait, on_bricks)?;
         let [low, high] = ranges.last().copied().unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
         ranges.push([low.min(marks.range[0]), high.max(marks.range[1])]);

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use chronoxel_codec::{CodecError, PayloadClass, stage_to_bytes};
+use chronoxel_codec::{PayloadClass, stage_to_bytes};
 use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree};
 use chronoxel_store::{SpanContent, SpanWrite};
 use rayon::prelude::*;
@@ -112,11 +112,7 @@ impl<T: Real> OpenWindows<T> {
     }
 
     /// Lets bricks of a level wait for the end of their windows.
-    pub fn wait(
-        &mut self,
-        level: u8,
-        arrivals: impl Iterator<Item = Arrival<T>>,
-    ) -> Result<(), EncodeError> {
+    pub fn wait(&mut self, level: u8, arrivals: impl Iterator<Item = Arrival<T>>) -> Result<(), EncodeError> {
         for arrival in arrivals {
             let waiting = match arrival.samples {
                 Some(samples) => self.scratch.keep(samples)?,
@@ -222,14 +218,18 @@ impl NodeCoder<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        let piece = |choice, drawn_range| Piece { start: steps.start, len: steps.len(), window: width, choice, drawn_range };
+        let piece = |choice, drawn_range| Piece {
+            start: steps.start,
+            len: steps.len(),
+            window: width,
+            choice,
+            drawn_range,
+        };
         if steps.clone().all(|step| node.samples[step].is_none()) {
             out.push(piece(Choice::Empty, [f64::NAN; 2]));
             return Ok(());
         }
-        let same = |step: usize| {
-            node.samples[step].is_some() && node.masks[step] == node.masks[steps.start]
-        };
+        let same = |step: usize| node.samples[step].is_some() && node.masks[step] == node.masks[steps.start];
         if !steps.clone().all(same) {
             self.pieces(node, place, width / 2, out)?;
             return self.pieces(node, place + width / 2, width / 2, out);
@@ -241,7 +241,10 @@ impl NodeCoder<'_> {
         }
         match self.method {
             Method::Palettes { kind, num_stages } => {
-                out.push(palettes::piece(node, steps, width, kind, num_stages, self.layout).map_err(Refusal::Codec)?);
+                out.push(
+                    palettes::piece(node, steps, width, kind, num_stages, self.layout)
+                        .map_err(Refusal::Codec)?,
+                );
             }
         }
         Ok(())
@@ -254,7 +257,8 @@ impl NodeCoder<'_> {
             Choice::Empty => SpanContent::Empty,
             Choice::Constant(value) => SpanContent::Constant(value),
             Choice::Coded(payload) => {
-                let class = PayloadClass { stages: payload.stages.iter().map(|stage| stage.class()).collect() };
+                let class =
+                    PayloadClass { stages: payload.stages.iter().map(|stage| stage.class()).collect() };
                 let class = self.classes.iter().position(|known| *known == class);
                 SpanContent::Coded {
                     class: class.expect("codecs give payloads of the classes they announce") as u8,

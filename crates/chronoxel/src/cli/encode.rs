@@ -41,9 +41,15 @@ pub struct EncodeArgs {
     /// Largest error of any sample, in units of the variable's range, such as 0.001
     #[arg(long, value_name = "E", value_parser = parse_not_negative)]
     max_error: Option<f64>,
-    /// Bits per sample and step: 8 or 16 [default: 16; 8 where the samples are 8-bit integers]
-    #[arg(long, value_name = "B", value_parser = parse_bits, conflicts_with = "max_error")]
-    bits: Option<u8>,
+    /// Bits per sample and step: with auto what the store takes on average; with raw 8 or 16
+    #[arg(long, value_name = "B", value_parser = parse_not_negative, conflicts_with = "max_error")]
+    bits: Option<f64>,
+    /// Time steps coded as one: 1, 2, 4, 8 or 16 [default: 8 for palettes, at most 16 for auto]
+    #[arg(long, value_name = "N")]
+    window: Option<u32>,
+    /// Stages of a palette, each coding what those before leave: 1, 2 or 3 [default: 1]
+    #[arg(long, value_name = "N")]
+    stages: Option<u8>,
     /// Samples along the edge of a brick's core: 8, 16, 32, 64 or 128
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = parse_brick)]
     brick: usize,
@@ -61,18 +67,16 @@ pub struct EncodeArgs {
 /// Names of the codecs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum CodecName {
-    /// Per brick, the fewest bytes that keep within --max-error
+    /// Per brick, the fewest bytes within --max-error, or the least error at --bits; without either as raw
     Auto,
     /// 8 or 16 bits for every sample, within the brick's range
     Raw,
-}
-
-fn parse_bits(text: &str) -> Result<u8, String> {
-    match text {
-        "8" => Ok(8),
-        "16" => Ok(16),
-        _ => Err(format!("{text:?} bits are not available; use 8 or 16")),
-    }
+    /// One byte for every sample and window of time steps: DCT and Lloyd-Max quantisers (lum2001)
+    Palette,
+    /// The same, one quantiser for each slice of the volume (lum2001): to compare with
+    PaletteSlice,
+    /// One byte for every sample and window of time steps: tables trained on the brick's time series
+    Vq,
 }
 
 fn parse_brick(text: &str) -> Result<usize, String> {
@@ -108,8 +112,13 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
         codec: match args.codec {
             CodecName::Auto => Codec::Auto,
             CodecName::Raw => Codec::Raw,
+            CodecName::Palette => Codec::Palette,
+            CodecName::PaletteSlice => Codec::PaletteSlice,
+            CodecName::Vq => Codec::Vq,
         },
         bits: args.bits,
+        window: args.window,
+        stages: args.stages,
         max_error: args.max_error,
         range: args.range,
         brick_edge: args.brick,
