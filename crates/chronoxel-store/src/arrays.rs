@@ -3,7 +3,17 @@
 
 use serde_json::{Value, json};
 
-use crate::{Header, StoreError, layout, spans};
+use crate::{
+    Header, StoreError, layout,
+    spans::{self, SpanChunk, SpanOrder},
+};
+
+/// Chunks of spans of so many bytes or less are small,
+const SMALL_SPAN_BYTES: usize = 128 << 10;
+/// and compressed with this level of zstd;
+const SMALL_SPAN_ZSTD_LEVEL: i32 = 19;
+/// larger ones with this.
+const SPAN_ZSTD_LEVEL: i32 = 6;
 
 /// What an array of payload bytes holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -37,6 +47,22 @@ pub(crate) struct SpanChunkId {
     pub level: u8,
     pub window: u32,
     pub shard: u32,
+}
+
+/// A folder below the store, and the text of its `zarr.json`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Child {
+    pub folder: String,
+    pub text: String,
+    /// Whether it exists only where there is data in it.
+    pub if_used: bool,
+}
+
+impl Child {
+    /// The file of the text, relative to the store.
+    pub fn file(&self) -> String {
+        format!("{}/zarr.json", self.folder)
+    }
 }
 
 impl Header {
@@ -125,43 +151,91 @@ impl Header {
         })
     }
 
-    /// Every folder below the store with the text of its `zarr.json`, parents before children.
-    pub(crate) fn children(&self) -> Result<Vec<(String, String)>, StoreError> {
-        let mut documents = vec![("nodes".to_owned(), group())];
-        for (level, entry) in self.levels.iter().enumerate() {
-            documents.push((format!("nodes/L{level}"), nodes_array(entry.num_nodes)));
+    /// The folder of an array that holds data: bytes of a kind, or spans.
+    pub(crate) fn data_folder(&self, key: (u16, u8, u32), kind: Option<ArrayKind>) -> String {
+        let (variable, level, window) = key;
+        match kind {
+            None => format!("{}/spans", self.window_folder(variable, level, window)),
+            Some(kind) => self.array_folder(&ArrayId { variable, level, window, kind }),
         }
-        for (variable, entry) in self.variables.iter().enumerate() {
-            documents.push((entry.folder.clone(), group()));
-            for level in 0..self.levels.len() as u8 {
-                documents.push((format!("{}/L{level}", entry.folder), group()));
-                for &window in &entry.windows {
-                    self.window_documents(variable as u16, level, window, &mut documents);
-                }
-            }
-        }
-        documents.into_iter().map(|(folder, document)| Ok((folder, text_of(&document)?))).collect()
     }
 
-    fn window_documents(&self, variable: u16, level: u8, window: u32, documents: &mut Vec<(String, Value)>) {
+    /// The arrays that hold data of one window length of one level of one variable: spans, and bytes of each kind.
+    pub(crate) fn data_kinds(&self, (variable, level, window): (u16, u8, u32)) -> Vec<Option<ArrayKind>> {
+        let arrays = self.arrays_of(variable, level, window).into_iter().map(|array| Some(array.kind));
+        std::iter::once(None).chain(arrays).collect()
+    }
+
+    /// The folders that an array with data lies in, below its level, and its own, outermost first.
+    pub(crate) fn data_children(
+        &self,
+        key: (u16, u8, u32),
+        kind: Option<ArrayKind>,
+    ) -> Result<Vec<Child>, StoreError> {
+        let (variable, level, window) = key;
         let folder = self.window_folder(variable, level, window);
-        documents.push((folder.clone(), group()));
-        documents.push((format!("{folder}/spans"), self.spans_array(level, window)));
-        for array in self.arrays_of(variable, level, window) {
-            if let ArrayKind::Stage { class, stage: 0 } = array.kind {
-                documents.push((format!("{folder}/C{class}"), group()));
-            }
-            documents.push((self.array_folder(&array), self.bytes_array(&array)));
+        let mut children = vec![self.child(folder.clone(), &group(), true)?];
+        if let Some(ArrayKind::Stage { class, .. }) = kind {
+            children.push(self.child(format!("{folder}/C{class}"), &group(), true)?);
         }
+        let document = match kind {
+            None => self.spans_array(level, window),
+            Some(kind) => self.bytes_array(&ArrayId { variable, level, window, kind }),
+        };
+        children.push(self.child(self.data_folder(key, kind), &document, true)?);
+        Ok(children)
+    }
+
+    /// The folders below the store that exist whatever is stored, parents before children.
+    pub(crate) fn fixed_children(&self) -> Result<Vec<Child>, StoreError> {
+        let mut children = vec![self.child("nodes".to_owned(), &group(), false)?];
+        for (level, entry) in self.levels.iter().enumerate() {
+            children.push(self.child(format!("nodes/L{level}"), &nodes_array(entry.num_nodes), false)?);
+        }
+        for entry in &self.variables {
+            children.push(self.child(entry.folder.clone(), &group(), false)?);
+            for level in 0..self.levels.len() {
+                children.push(self.child(format!("{}/L{level}", entry.folder), &group(), false)?);
+            }
+        }
+        Ok(children)
+    }
+
+    /// Every folder there can be below the store.
+    pub(crate) fn children(&self) -> Result<Vec<Child>, StoreError> {
+        let mut children = self.fixed_children()?;
+        for key in self.each_window() {
+            for kind in self.data_kinds(key) {
+                children.extend(self.data_children(key, kind)?);
+            }
+        }
+        children.sort_by(|a, b| a.folder.cmp(&b.folder));
+        children.dedup_by(|a, b| a.folder == b.folder);
+        Ok(children)
+    }
+
+    fn child(&self, folder: String, document: &Value, if_used: bool) -> Result<Child, StoreError> {
+        let text = match self.sparse {
+            true => serde_json::to_string(document),
+            false => serde_json::to_string_pretty(document),
+        };
+        let text = text.map_err(|e| StoreError::invalid("metadata", e, "it must be plain JSON"))?;
+        Ok(Child { folder, text: text + "\n", if_used: if_used && self.sparse })
     }
 
     fn spans_array(&self, level: u8, window: u32) -> Value {
         let (rows, nodes) = (self.num_rows(window), self.num_nodes(level));
         let fields = spans::FIELDS.len();
+        let zstd = zstd(self.span_zstd_level(level, window));
+        let codecs = match self.sparse {
+            // Field after field: equal numbers lie beside each other.
+            true => json!([transpose(), little_endian(), zstd, crc32c()]),
+            false => json!([little_endian(), zstd, crc32c()]),
+        };
         array(
             json!({ "fields": spans::FIELDS }),
             json!([self.rows_per_shard(window), nodes, fields]),
-            json!([little_endian(), self.zstd(), crc32c()]),
+            codecs,
             "float64",
             json!(["row", "node", "field"]),
             json!("NaN"),
@@ -175,7 +249,7 @@ impl Header {
         let sharding = json!({
             "configuration": {
                 "chunk_shape": [1, 1, bytes],
-                "codecs": [{ "name": "bytes" }, self.zstd(), crc32c()],
+                "codecs": [{ "name": "bytes" }, zstd(self.zstd_level), crc32c()],
                 "index_codecs": [little_endian(), crc32c()],
                 "index_location": "end",
             },
@@ -192,9 +266,28 @@ impl Header {
         )
     }
 
-    fn zstd(&self) -> Value {
-        json!({ "configuration": { "checksum": false, "level": self.zstd_level }, "name": "zstd" })
+    /// In which order the numbers of a chunk of spans are stored.
+    pub(crate) fn span_order(&self) -> SpanOrder {
+        if self.sparse { SpanOrder::ByField } else { SpanOrder::BySpan }
     }
+
+    /// Level of zstd for a level's chunks of spans. Small ones are worth the time.
+    pub(crate) fn span_zstd_level(&self, level: u8, window: u32) -> i32 {
+        let bytes = SpanChunk::size(self.rows_per_shard(window), self.num_nodes(level));
+        match (self.sparse, bytes <= SMALL_SPAN_BYTES) {
+            (false, _) => self.zstd_level,
+            (true, true) => SMALL_SPAN_ZSTD_LEVEL,
+            (true, false) => SPAN_ZSTD_LEVEL,
+        }
+    }
+}
+
+fn zstd(level: i32) -> Value {
+    json!({ "configuration": { "checksum": false, "level": level }, "name": "zstd" })
+}
+
+fn transpose() -> Value {
+    json!({ "configuration": { "order": [2, 0, 1] }, "name": "transpose" })
 }
 
 fn nodes_array(num_nodes: usize) -> Value {
@@ -236,9 +329,4 @@ fn little_endian() -> Value {
 
 fn crc32c() -> Value {
     json!({ "name": "crc32c" })
-}
-
-fn text_of(document: &Value) -> Result<String, StoreError> {
-    let text = serde_json::to_string_pretty(document);
-    text.map(|text| text + "\n").map_err(|e| StoreError::invalid("metadata", e, "it must be plain JSON"))
 }

@@ -39,6 +39,13 @@ pub(crate) fn encode(bytes: &[u8], level: i32) -> std::io::Result<Vec<u8>> {
     Ok(stored)
 }
 
+/// As [`encode`], for a level of zstd that is not that of the payloads: the thread keeps its compressor for those.
+pub(crate) fn encode_once(bytes: &[u8], level: i32) -> std::io::Result<Vec<u8>> {
+    let mut stored = zstd::bulk::compress(bytes, level)?;
+    stored.extend_from_slice(&crc32c::crc32c(&stored).to_le_bytes());
+    Ok(stored)
+}
+
 fn encode_to(bytes: &[u8], level: i32, stored: &mut Vec<u8>) -> std::io::Result<()> {
     COMPRESSOR.with_borrow_mut(|slot| {
         let compressor = match slot {

@@ -7,17 +7,17 @@
 //! A disk takes milliseconds to sync one file and hardly more for a hundred at once, so files are synced in groups. What a
 //! machine that stops may lose is what was written since the last group; the state lists it, and a resume checks it.
 
-use std::path::PathBuf;
+use std::{fs, path::PathBuf};
 
 use rayon::prelude::*;
 
 use crate::{
-    StoreError,
+    Header, StoreError,
     arrays::ArrayKind,
     files,
     journal::{self, ShardSummary, StateSummary, WindowSummary},
     shard::OpenShard,
-    spans::SpanChunk,
+    spans::OpenSpans,
     writer::StoreWriter,
 };
 
@@ -28,13 +28,25 @@ const SYNC_FILES: usize = 100;
 
 /// A file on its way from its temporary name to its own.
 struct Closing {
+    key: (u16, u8, u32),
+    /// Of an array of bytes; `None` for spans.
+    kind: Option<ArrayKind>,
     temporary: PathBuf,
     path: PathBuf,
     content: Content,
 }
 
+/// A file that is complete under its temporary name.
+struct Closed {
+    key: (u16, u8, u32),
+    kind: Option<ArrayKind>,
+    temporary: PathBuf,
+    path: PathBuf,
+    len: u64,
+}
+
 enum Content {
-    Spans(SpanChunk),
+    Spans(OpenSpans),
     Shard(OpenShard),
 }
 
@@ -42,13 +54,14 @@ impl StoreWriter {
     pub(crate) fn commit(&mut self, num_put: u32) -> Result<(), StoreError> {
         self.check_covered(num_put)?;
         let closing = self.take_complete();
-        let zstd_level = self.header.zstd_level;
-        let closed: Result<Vec<_>, StoreError> =
-            closing.into_par_iter().map(|closing| closing.close(zstd_level)).collect();
+        let header = &self.header;
+        let closed: Result<Vec<Closed>, StoreError> =
+            closing.into_par_iter().map(|closing| closing.close(header)).collect();
         for shard in self.windows.values_mut().flat_map(|window| window.shards.values_mut()) {
             shard.flush()?;
         }
-        for (temporary, path, len) in closed? {
+        for Closed { key, kind, temporary, path, len } in closed? {
+            self.describe(key, kind)?;
             files::rename(&temporary, &path)?;
             self.header.totals.data_bytes += len;
             self.unsynced_bytes += len;
@@ -61,6 +74,26 @@ impl StoreWriter {
         }
         self.write_state()?;
         self.write_header()
+    }
+
+    /// Makes the folders of an array and their metadata before its first file comes to lie there.
+    fn describe(&mut self, key: (u16, u8, u32), kind: Option<ArrayKind>) -> Result<(), StoreError> {
+        if self.described.contains(&(key, kind)) {
+            return Ok(());
+        }
+        for child in self.header.data_children(key, kind)? {
+            let (folder, file) = (self.root.join(&child.folder), self.root.join(child.file()));
+            if file.exists() {
+                continue;
+            }
+            fs::create_dir_all(&folder).map_err(StoreError::io(&folder, "create"))?;
+            let temporary = self.journal_path(&child.file());
+            files::write(&temporary, child.text.as_bytes())?;
+            files::rename(&temporary, &file)?;
+            self.unsynced.push((file, child.text.len() as u64));
+        }
+        self.described.insert((key, kind));
+        Ok(())
     }
 
     fn unsynced_relative(&self) -> Vec<(PathBuf, u64)> {
@@ -112,7 +145,6 @@ impl StoreWriter {
         let keys: Vec<(u16, u8, u32)> = self.windows.keys().copied().collect();
         for key in keys {
             let rows = self.header.rows_per_shard(key.2);
-            let num_nodes = self.header.num_nodes(key.1);
             let num_rows = self.num_rows_complete(key);
             let all = num_rows == self.header.num_rows(key.2);
             let num_done = if all { self.header.num_shards(key.2) } else { num_rows / rows };
@@ -121,8 +153,7 @@ impl StoreWriter {
             let mut contents: Vec<(Option<ArrayKind>, u32, Content)> = Vec::new();
             for shard in first..num_done {
                 let spans = window.span_chunks.remove(&shard);
-                let spans = spans.unwrap_or_else(|| SpanChunk::new(rows, num_nodes));
-                contents.push((None, shard, Content::Spans(spans)));
+                contents.extend(spans.map(|spans| (None, shard, Content::Spans(spans))));
             }
             while let Some(&(kind, shard)) = window.shards.keys().find(|(_, shard)| *shard < num_done) {
                 let open = window.shards.remove(&(kind, shard));
@@ -133,7 +164,8 @@ impl StoreWriter {
                     None => self.header.span_file(&self.spans_id(key, shard)),
                     Some(kind) => self.header.shard_file(&self.shard_id(key, kind, shard)),
                 };
-                Closing { temporary: self.journal_path(&relative), path: self.root.join(relative), content }
+                let (temporary, path) = (self.journal_path(&relative), self.root.join(relative));
+                Closing { key, kind, temporary, path, content }
             }));
         }
         closing
@@ -143,7 +175,7 @@ impl StoreWriter {
     fn num_steps_closed(&self) -> u32 {
         let put = self.covered.iter().flatten().flatten().copied().min().unwrap_or(0);
         let chunks = self.windows.values().flat_map(|window| window.span_chunks.values());
-        chunks.flat_map(SpanChunk::starts).map(|start| start as u32).fold(put, u32::min)
+        chunks.flat_map(OpenSpans::starts).map(|start| start as u32).fold(put, u32::min)
     }
 
     pub(crate) fn write_state(&mut self) -> Result<(), StoreError> {
@@ -154,17 +186,25 @@ impl StoreWriter {
         }
         let mut windows = Vec::new();
         for window in self.windows.values() {
-            window.span_chunks.values().for_each(|chunk| numbers.extend_from_slice(&chunk.to_bytes()));
-            for number in window.shards.values().flat_map(|shard| shard.index().iter().flatten()) {
-                numbers.extend_from_slice(&number.to_le_bytes());
+            for (place, fields) in window.span_chunks.values().flat_map(|spans| &spans.0) {
+                numbers.extend_from_slice(&place.to_le_bytes());
+                fields.iter().for_each(|value| numbers.extend_from_slice(&value.to_le_bytes()));
+            }
+            for (slot, extent) in window.shards.values().flat_map(OpenShard::extents) {
+                numbers.extend_from_slice(&slot.to_le_bytes());
+                extent.iter().for_each(|number| numbers.extend_from_slice(&number.to_le_bytes()));
             }
             windows.push(WindowSummary {
                 num_shards_closed: window.num_shards_closed,
-                span_chunks: window.span_chunks.keys().copied().collect(),
+                span_chunks: window
+                    .span_chunks
+                    .iter()
+                    .map(|(&shard, spans)| (shard, spans.0.len()))
+                    .collect(),
                 shards: window
                     .shards
                     .iter()
-                    .map(|(&(kind, shard), open)| ShardSummary::new(kind, shard, open.len()))
+                    .map(|(&(kind, shard), open)| ShardSummary::new(kind, shard, open))
                     .collect(),
             });
         }
@@ -186,17 +226,20 @@ impl StoreWriter {
 }
 
 impl Closing {
-    /// Completes the file under its temporary name; gives both names and its length.
-    fn close(self, zstd_level: i32) -> Result<(PathBuf, PathBuf, u64), StoreError> {
-        let len = match self.content {
+    /// Completes the file under its temporary name.
+    fn close(self, header: &Header) -> Result<Closed, StoreError> {
+        let Self { key, kind, temporary, path, content } = self;
+        let len = match content {
             Content::Shard(shard) => shard.close()?,
             Content::Spans(spans) => {
-                let stored = spans.encode(zstd_level);
-                let stored = stored.map_err(StoreError::io(&self.path, "compress"))?;
-                files::write(&self.temporary, &stored)?;
+                let (_, level, window) = key;
+                let chunk = spans.into_chunk(header.rows_per_shard(window), header.num_nodes(level));
+                let stored = chunk.encode(header.span_order(), header.span_zstd_level(level, window));
+                let stored = stored.map_err(StoreError::io(&path, "compress"))?;
+                files::write(&temporary, &stored)?;
                 stored.len() as u64
             }
         };
-        Ok((self.temporary, self.path, len))
+        Ok(Closed { key, kind, temporary, path, len })
     }
 }

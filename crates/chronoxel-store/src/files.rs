@@ -109,19 +109,34 @@ pub(crate) fn names_in(path: &Path) -> Result<Vec<String>, StoreError> {
     Ok(names)
 }
 
-/// Every file below a folder with its length, sorted by path.
-pub(crate) fn list_files(root: &Path) -> Result<Vec<(PathBuf, u64)>, StoreError> {
-    let (mut files, mut folders) = (Vec::new(), vec![root.to_owned()]);
+/// What lies below a folder, sorted by path.
+#[derive(Debug, Default)]
+pub(crate) struct Listing {
+    /// Every file with its length.
+    pub files: Vec<(PathBuf, u64)>,
+    /// Folders with nothing in them.
+    pub empty_folders: Vec<PathBuf>,
+}
+
+/// Everything below a folder.
+pub(crate) fn list(root: &Path) -> Result<Listing, StoreError> {
+    let (mut listing, mut folders) = (Listing::default(), vec![root.to_owned()]);
     while let Some(folder) = folders.pop() {
+        let mut is_empty = true;
         for entry in fs::read_dir(&folder).map_err(StoreError::io(&folder, "list"))? {
+            is_empty = false;
             let entry = entry.map_err(StoreError::io(&folder, "list"))?;
             let metadata = entry.metadata().map_err(StoreError::io(&folder, "list"))?;
             match metadata.is_dir() {
                 true => folders.push(entry.path()),
-                false => files.push((entry.path(), metadata.len())),
+                false => listing.files.push((entry.path(), metadata.len())),
             }
         }
+        if is_empty {
+            listing.empty_folders.push(folder);
+        }
     }
-    files.sort();
-    Ok(files)
+    listing.files.sort();
+    listing.empty_folders.sort();
+    Ok(listing)
 }

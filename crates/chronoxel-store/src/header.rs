@@ -76,7 +76,11 @@ pub struct Header {
     pub variables: Vec<VariableEntry>,
     /// G: steps that a shard covers (a shard of window `w` has `max(1, G / w)` rows).
     pub steps_per_shard: u32,
-    /// Level of zstd for payloads, masks and spans.
+    /// Whether what holds nothing is left out: folders of window lengths, classes and masks, chunks of spans. The first
+    /// stores of version 1 do not have the field, and have everything.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub sparse: bool,
+    /// Level of zstd for payloads and masks.
     pub zstd_level: i32,
     /// Steps `0 .. num_steps_finished` can be read.
     pub num_steps_finished: u32,
@@ -207,6 +211,7 @@ impl Header {
             levels,
             variables: entries,
             steps_per_shard: layout::steps_per_shard(grid, layout),
+            sparse: true,
             zstd_level: *zstd_level,
             num_steps_finished: 0,
             totals: Totals::default(),
@@ -310,19 +315,18 @@ impl Header {
         None
     }
 
-    /// The text of the group's `zarr.json`. Its last field is the CRC-32C of the text itself with
+    /// The text of the group's `zarr.json`: a line for each field of the header. Its last field is the CRC-32C of the text itself with
     /// that field's digits as zeros.
     pub(crate) fn to_text(&self) -> Result<String, StoreError> {
         let failed = |e: serde_json::Error| StoreError::invalid("header", e, "it must be plain JSON");
         let mut chronoxel = serde_json::to_value(self).map_err(failed)?;
         chronoxel[CRC_FIELD] = json!(CRC_BLANK);
-        let document = json!({
-            "zarr_format": 3,
-            "node_type": "group",
-            "attributes": { "chronoxel": chronoxel },
-        });
-        let mut text = serde_json::to_string_pretty(&document).map_err(failed)?;
-        text.push('\n');
+        let fields = chronoxel.as_object().into_iter().flatten();
+        let lines: Vec<String> = fields.map(|(name, value)| format!("  {name:?}: {value}")).collect();
+        let mut text = format!(
+            "{{\"zarr_format\": 3, \"node_type\": \"group\", \"attributes\": {{\"chronoxel\": {{\n{}\n}}}}}}\n",
+            lines.join(",\n")
+        );
         let at =
             crc_position(&text).ok_or_else(|| StoreError::invalid("header", "", "it has no checksum"))?;
         let crc = format!("{:08x}", crc32c::crc32c(text.as_bytes()));

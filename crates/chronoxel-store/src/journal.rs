@@ -4,11 +4,14 @@
 //! says how much of it is good. Shards that are not complete lie beside them. All of it is gone once the
 //! store is finished, so its form may change with any version.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{StoreError, Totals, arrays::ArrayKind, files};
+use crate::{StoreError, Totals, arrays::ArrayKind, files, shard::OpenShard};
 
 /// The folder of the journal.
 pub(crate) const FOLDER: &str = ".partial";
@@ -36,9 +39,9 @@ pub(crate) struct StateSummary {
 pub(crate) struct WindowSummary {
     /// Shards below this one are complete.
     pub num_shards_closed: u32,
-    /// Shards whose spans are held open; their fields follow.
-    pub span_chunks: Vec<u32>,
-    /// Open shards of bytes: array, shard, good bytes; their indexes follow.
+    /// Shards whose spans are held open, and how many of them: place and fields of each follow.
+    pub span_chunks: Vec<(u32, usize)>,
+    /// Open shards of bytes; slot, offset and length of each of their chunks follow.
     pub shards: Vec<ShardSummary>,
 }
 
@@ -50,14 +53,16 @@ pub(crate) struct ShardSummary {
     pub stage: u8,
     pub shard: u32,
     pub len: u64,
+    pub num_chunks: usize,
 }
 
 impl ShardSummary {
-    pub fn new(kind: ArrayKind, shard: u32, len: u64) -> Self {
-        match kind {
-            ArrayKind::Mask => Self { class: -1, stage: 0, shard, len },
-            ArrayKind::Stage { class, stage } => Self { class: i16::from(class), stage, shard, len },
-        }
+    pub fn new(kind: ArrayKind, shard: u32, open: &OpenShard) -> Self {
+        let (class, stage) = match kind {
+            ArrayKind::Mask => (-1, 0),
+            ArrayKind::Stage { class, stage } => (i16::from(class), stage),
+        };
+        Self { class, stage, shard, len: open.len(), num_chunks: open.extents().len() }
     }
 
     pub fn kind(&self) -> ArrayKind {
@@ -72,9 +77,12 @@ impl ShardSummary {
 pub(crate) fn state_bytes(summary: &StateSummary, numbers: &[u8]) -> Result<Vec<u8>, StoreError> {
     let summary = serde_json::to_vec(summary)
         .map_err(|e| StoreError::invalid("state of the journal", e, "it must be plain JSON"))?;
-    let mut body = (summary.len() as u64).to_le_bytes().to_vec();
+    let zipped = zstd::bulk::compress(numbers, 1)
+        .map_err(|e| StoreError::invalid("state of the journal", e, "there is no memory for it"))?;
+    let lengths = [summary.len() as u64, numbers.len() as u64].map(u64::to_le_bytes);
+    let mut body = lengths.as_flattened().to_vec();
     body.extend_from_slice(&summary);
-    body.extend_from_slice(numbers);
+    body.extend_from_slice(&zipped);
     let mut bytes = MAGIC.to_vec();
     bytes.extend_from_slice(&crc32c::crc32c(&body).to_le_bytes());
     bytes.extend_from_slice(&body);
@@ -92,11 +100,20 @@ pub(crate) fn read_state(path: &Path) -> Result<Option<(StateSummary, Vec<u8>)>,
     if magic != MAGIC || crc32c::crc32c(body).to_le_bytes() != *crc {
         return Err(damaged("checksum of a file of this many bytes"));
     }
-    let (len, body) = body.split_first_chunk::<8>().ok_or_else(|| damaged("size in bytes"))?;
-    let len = usize::try_from(u64::from_le_bytes(*len)).unwrap_or(usize::MAX);
-    let (summary, numbers) = body.split_at_checked(len).ok_or_else(|| damaged("length of the summary"))?;
+    let (lengths, body) = body.split_first_chunk::<16>().ok_or_else(|| damaged("size in bytes"))?;
+    let number = |at: usize| {
+        u64::from_le_bytes(std::array::from_fn(|i| lengths[at + i])).try_into().unwrap_or(usize::MAX)
+    };
+    let (summary, zipped) =
+        body.split_at_checked(number(0)).ok_or_else(|| damaged("length of the summary"))?;
     let summary = serde_json::from_slice(summary).map_err(|_| damaged("summary"))?;
-    Ok(Some((summary, numbers.to_vec())))
+    let mut numbers = Vec::new();
+    let unzipped = zstd::Decoder::new(zipped)
+        .and_then(|unzipped| unzipped.take(number(8) as u64).read_to_end(&mut numbers));
+    match unzipped.is_ok_and(|len| len == number(8)) {
+        true => Ok(Some((summary, numbers))),
+        false => Err(damaged("numbers")),
+    }
 }
 
 /// Takes numbers off the front of what follows a summary.

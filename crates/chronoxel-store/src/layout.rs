@@ -31,6 +31,12 @@ pub const fn rows_per_shard(steps_per_shard: u32, window: u32) -> u32 {
     if window >= steps_per_shard { 1 } else { steps_per_shard / window }
 }
 
+/// The number of the shard, or of the chunk of spans, in a file of this name: `c.{shard}.0.0`.
+pub(crate) fn shard_of(name: &str) -> Option<u32> {
+    let digits = name.strip_prefix("c.")?.strip_suffix(".0.0")?;
+    digits.parse::<u32>().ok().filter(|shard| shard.to_string() == digits)
+}
+
 /// Folder of a variable: its name where that is a safe file name on every system and no earlier
 /// variable has it, else `variable-{index}`.
 pub(crate) fn variable_folder<'a>(

@@ -12,7 +12,6 @@ use crate::{
     digest::{DigestEntry, digest_of},
     layout,
     shard::{OpenShard, ShardFile},
-    spans::SpanChunk,
     writer::StoreWriter,
 };
 
@@ -331,8 +330,8 @@ impl<'a> Put<'a> {
         let row = layout::row(span.start, span.window);
         let num_nodes = header.num_nodes(self.level);
         let chunks = &mut self.writer.windows.entry(key).or_default().span_chunks;
-        let chunk = chunks.entry(row / rows).or_insert_with(|| SpanChunk::new(rows, num_nodes));
-        chunk.set(row % rows, span.node_rank as usize, &record);
+        let place = (row % rows) * num_nodes as u32 + span.node_rank;
+        chunks.entry(row / rows).or_default().set(place, &record);
     }
 }
 

@@ -1,6 +1,7 @@
 //! Going on with a store that was not finished, from the state of its last commit.
 
 use std::{
+    collections::{BTreeMap, HashSet},
     fs::{self, File},
     io::Read,
     path::Path,
@@ -12,8 +13,9 @@ use crate::{
     files,
     header::{Header, Totals},
     journal::{self, Numbers, StateSummary},
+    layout,
     shard::OpenShard,
-    spans::SpanChunk,
+    spans::{NUM_FIELDS, OpenSpans},
     store::find_header,
     writer::{StoreWriter, partial_path},
 };
@@ -141,13 +143,23 @@ impl StoreWriter {
     fn restore_windows(&mut self, summary: &StateSummary, numbers: &mut Numbers) -> Result<(), StoreError> {
         let keys: Vec<(u16, u8, u32)> = self.windows.keys().copied().collect();
         for (key, stored) in keys.into_iter().zip(&summary.windows) {
-            let rows = self.header.rows_per_shard(key.2);
-            let num_nodes = self.header.num_nodes(key.1);
-            let mut span_chunks = Vec::new();
-            for &shard in &stored.span_chunks {
-                let empty = SpanChunk::new(rows, num_nodes);
-                let fields = numbers.take::<8>(empty.num_bytes() / 8)?;
-                span_chunks.push((shard, SpanChunk::from_bytes(num_nodes, fields.as_flattened())));
+            let num_spans = self.header.rows_per_shard(key.2) as usize * self.header.num_nodes(key.1);
+            let mut span_chunks = BTreeMap::new();
+            for &(shard, num) in &stored.span_chunks {
+                let spans = numbers.take::<{ 4 + 8 * NUM_FIELDS }>(num)?.iter().map(|bytes| {
+                    let (place, fields) = bytes.split_at(4);
+                    let (fields, _) = fields.as_chunks();
+                    let place = u32::from_le_bytes(std::array::from_fn(|i| place[i]));
+                    (place, std::array::from_fn(|field| f64::from_le_bytes(fields[field])))
+                });
+                let spans = OpenSpans(spans.collect());
+                if let Some((place, _)) =
+                    spans.0.last_key_value().filter(|(at, _)| **at as usize >= num_spans)
+                {
+                    let problem = "the level has fewer nodes: encode the store anew";
+                    return Err(StoreError::corrupt(numbers.path, "place of a span", place, problem));
+                }
+                span_chunks.insert(shard, spans);
             }
             let mut shards = Vec::new();
             for shard in &stored.shards {
@@ -156,11 +168,11 @@ impl StoreWriter {
                     let problem = "the store has no such array: encode it anew";
                     return Err(StoreError::corrupt(numbers.path, "array", format!("{shard:?}"), problem));
                 }
-                let numbers = numbers.take::<16>(self.header.num_slots(&id.array))?;
-                let index = numbers.iter().map(|pair| {
-                    let number = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| pair[at + i]));
-                    [number(0), number(8)]
+                let extents = numbers.take::<20>(shard.num_chunks)?.iter().map(|bytes| {
+                    let number = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+                    (u32::from_le_bytes(std::array::from_fn(|i| bytes[i])), [number(4), number(12)])
                 });
+                let extents = extents.collect();
                 let relative = self.header.shard_file(&id);
                 let (temporary, path) = (self.journal_path(&relative), self.root.join(&relative));
                 if !temporary.exists() && path.exists() {
@@ -168,7 +180,8 @@ impl StoreWriter {
                     files::rename(&path, &temporary)?;
                 }
                 let chunk_bytes = self.header.chunk_bytes(&id.array);
-                let open = OpenShard::reopen(temporary, index.collect(), shard.len, chunk_bytes)?;
+                let num_slots = self.header.num_slots(&id.array);
+                let open = OpenShard::reopen(temporary, num_slots, extents, shard.len, chunk_bytes)?;
                 shards.push(((shard.kind(), shard.shard), open));
             }
             let window = self.windows.entry(key).or_default();
@@ -180,24 +193,44 @@ impl StoreWriter {
     }
 
     /// Removes what a commit left that never came to its state: it will be written again.
-    fn remove_leftovers(&self) -> Result<(), StoreError> {
+    fn remove_leftovers(&mut self) -> Result<(), StoreError> {
         let mut kept = vec!["state".to_owned(), "digests".to_owned()];
         for (key, window) in &self.windows {
-            let shards = window.num_shards_closed..self.header.num_shards(key.2);
-            let arrays = self.header.arrays_of(key.0, key.1, key.2);
-            for shard in shards {
-                let mut files = vec![self.header.span_file(&self.spans_id(*key, shard))];
-                files.extend(
-                    arrays.iter().map(|a| self.header.shard_file(&self.shard_id(*key, a.kind, shard))),
-                );
-                files.iter().try_for_each(|file| files::remove_file(&self.root.join(file)))?;
-            }
             let open = window.shards.keys().map(|&(kind, shard)| self.shard_id(*key, kind, shard));
             kept.extend(open.map(|id| self.header.shard_file(&id).replace('/', "!")));
         }
         let journal = self.root.join(journal::FOLDER);
         for name in files::names_in(&journal)?.iter().filter(|name| !kept.contains(name)) {
             files::remove_file(&journal.join(name))?;
+        }
+        let keys: Vec<(u16, u8, u32)> = self.windows.keys().copied().collect();
+        keys.into_iter().try_for_each(|key| self.remove_leftovers_of(key))
+    }
+
+    /// Removes the shards of a window length that are not complete, then the folders in which nothing is left.
+    fn remove_leftovers_of(&mut self, key: (u16, u8, u32)) -> Result<(), StoreError> {
+        let num_closed = self.windows.get(&key).map_or(0, |window| window.num_shards_closed);
+        let (mut used, mut unused) = (HashSet::new(), Vec::new());
+        for kind in self.header.data_kinds(key) {
+            let folder = self.root.join(self.header.data_folder(key, kind));
+            let mut num_kept = 0;
+            for name in files::names_in(&folder)? {
+                match layout::shard_of(&name) {
+                    Some(shard) if shard >= num_closed => files::remove_file(&folder.join(&name))?,
+                    Some(_) => num_kept += 1,
+                    None => {}
+                }
+            }
+            let children = self.header.data_children(key, kind)?.into_iter().map(|child| child.folder);
+            if num_kept > 0 {
+                self.described.insert((key, kind));
+                used.extend(children);
+            } else {
+                unused.extend(children);
+            }
+        }
+        for folder in unused.iter().filter(|folder| !used.contains(*folder)) {
+            files::remove_folder(&self.root.join(folder))?;
         }
         Ok(())
     }

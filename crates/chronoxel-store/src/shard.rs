@@ -4,6 +4,7 @@
 //! nothing: every length is checked against the file and the class before it is used.
 
 use std::{
+    collections::BTreeMap,
     fs::{File, OpenOptions},
     io::{ErrorKind, Write},
     path::{Path, PathBuf},
@@ -14,12 +15,14 @@ use crate::{StoreError, chunk, files};
 const ABSENT: [u64; 2] = [u64::MAX; 2];
 const FLUSH_BYTES: usize = 1 << 20;
 
-/// A shard that is being written.
+/// A shard that is being written. Hundreds may be at once, so none keeps its file open, and each remembers the
+/// places of its chunks only.
 #[derive(Debug)]
 pub(crate) struct OpenShard {
     path: PathBuf,
-    file: File,
-    index: Vec<[u64; 2]>,
+    num_slots: usize,
+    /// Offset and length of the chunk of a slot.
+    extents: BTreeMap<u32, [u64; 2]>,
     /// Bytes appended so far, those in `pending` included.
     len: u64,
     pending: Vec<u8>,
@@ -29,51 +32,39 @@ pub(crate) struct OpenShard {
 impl OpenShard {
     /// A new shard of `num_slots` inner chunks of `chunk_bytes` bytes before compression.
     pub fn create(path: PathBuf, num_slots: usize, chunk_bytes: usize) -> Result<Self, StoreError> {
-        Self::with_index(path, vec![ABSENT; num_slots], 0, chunk_bytes, true)
+        File::create(&path).map_err(StoreError::io(&path, "create"))?;
+        let (extents, pending) = (BTreeMap::new(), Vec::new());
+        Ok(Self { path, num_slots, extents, len: 0, pending, chunk_bytes })
     }
 
-    /// Goes on with a shard whose first `len` bytes are good and belong to `index`.
+    /// Goes on with a shard whose first `len` bytes are good and hold the chunks at `extents`.
     pub fn reopen(
         path: PathBuf,
-        index: Vec<[u64; 2]>,
+        num_slots: usize,
+        extents: BTreeMap<u32, [u64; 2]>,
         len: u64,
         chunk_bytes: usize,
     ) -> Result<Self, StoreError> {
-        let shard = Self::with_index(path, index, len, chunk_bytes, false)?;
-        let found = shard.file.metadata().map_err(StoreError::io(&shard.path, "read the size of"))?.len();
-        if found < len {
+        let file = OpenOptions::new().write(true).open(&path).map_err(StoreError::io(&path, "open"))?;
+        let found = file.metadata().map_err(StoreError::io(&path, "read the size of"))?.len();
+        let outside = |(slot, [offset, bytes]): (&u32, &[u64; 2])| {
+            *slot as usize >= num_slots || offset.checked_add(*bytes).is_none_or(|end| end > len)
+        };
+        if found < len || extents.iter().any(outside) {
             let problem = format!("the journal says {len}: the store cannot be resumed, encode it anew");
-            return Err(StoreError::corrupt(&shard.path, "size in bytes", found, problem));
+            return Err(StoreError::corrupt(&path, "size in bytes", found, problem));
         }
-        shard.file.set_len(len).map_err(StoreError::io(&shard.path, "truncate"))?;
-        Ok(shard)
-    }
-
-    fn with_index(
-        path: PathBuf,
-        index: Vec<[u64; 2]>,
-        len: u64,
-        chunk_bytes: usize,
-        new: bool,
-    ) -> Result<Self, StoreError> {
-        let file = OpenOptions::new()
-            .read(true)
-            .append(true)
-            .create(new)
-            .open(&path)
-            .map_err(StoreError::io(&path, "open"))?;
-        if new {
-            file.set_len(0).map_err(StoreError::io(&path, "truncate"))?;
-        }
-        Ok(Self { path, file, index, len, pending: Vec::new(), chunk_bytes })
+        file.set_len(len).map_err(StoreError::io(&path, "truncate"))?;
+        Ok(Self { path, num_slots, extents, len, pending: Vec::new(), chunk_bytes })
     }
 
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    pub fn index(&self) -> &[[u64; 2]] {
-        &self.index
+    /// Offset and length of the chunk of each slot that has one.
+    pub fn extents(&self) -> &BTreeMap<u32, [u64; 2]> {
+        &self.extents
     }
 
     pub fn len(&self) -> u64 {
@@ -82,7 +73,7 @@ impl OpenShard {
 
     /// Appends a stored chunk.
     pub fn append(&mut self, slot: usize, stored: &[u8]) -> Result<(), StoreError> {
-        self.index[slot] = [self.len, stored.len() as u64];
+        self.extents.insert(slot as u32, [self.len, stored.len() as u64]);
         self.len += stored.len() as u64;
         self.pending.extend_from_slice(stored);
         if self.pending.len() >= FLUSH_BYTES { self.flush() } else { Ok(()) }
@@ -90,15 +81,23 @@ impl OpenShard {
 
     /// Hands everything appended so far to the system, so that it can be read back.
     pub fn flush(&mut self) -> Result<(), StoreError> {
-        self.file.write_all(&self.pending).map_err(StoreError::io(&self.path, "write"))?;
-        self.pending.clear();
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let file = OpenOptions::new().append(true).open(&self.path);
+        let mut file = file.map_err(StoreError::io(&self.path, "open"))?;
+        file.write_all(&self.pending).map_err(StoreError::io(&self.path, "write"))?;
+        self.pending = Vec::new();
         Ok(())
     }
 
     /// Appends the index; the file is then complete, and as long as is returned.
     pub fn close(mut self) -> Result<u64, StoreError> {
-        let mut index: Vec<u8> = Vec::with_capacity(16 * self.index.len() + 4);
-        self.index.iter().flatten().for_each(|number| index.extend_from_slice(&number.to_le_bytes()));
+        let mut index: Vec<u8> = vec![0xff; 16 * self.num_slots];
+        for (&slot, extent) in &self.extents {
+            let numbers = extent.map(u64::to_le_bytes);
+            index[16 * slot as usize..][..16].copy_from_slice(numbers.as_flattened());
+        }
         index.extend_from_slice(&crc32c::crc32c(&index).to_le_bytes());
         self.pending.extend_from_slice(&index);
         self.flush()?;
@@ -107,12 +106,10 @@ impl OpenShard {
 
     /// The bytes of a chunk appended and flushed before.
     pub fn read(&self, slot: usize) -> Result<Option<Vec<u8>>, StoreError> {
-        if self.index[slot] == ABSENT {
-            return Ok(None);
-        }
-        let [offset, len] = self.index[slot];
+        let Some(&[offset, len]) = self.extents.get(&(slot as u32)) else { return Ok(None) };
         let mut stored = vec![0; len as usize];
-        files::read_at(&self.file, &mut stored, offset).map_err(StoreError::io(&self.path, "read"))?;
+        let file = File::open(&self.path).map_err(StoreError::io(&self.path, "open"))?;
+        files::read_at(&file, &mut stored, offset).map_err(StoreError::io(&self.path, "read"))?;
         chunk::decode(&stored, self.chunk_bytes)
             .map(Some)
             .map_err(|problem| StoreError::corrupt(&self.path, "inner chunk", slot, problem))

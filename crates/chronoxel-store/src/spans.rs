@@ -1,5 +1,7 @@
 //! Spans on disk: sixteen numbers each, `[row, node, field]`, all NaN where there is no span.
 
+use std::collections::BTreeMap;
+
 use chronoxel_core::{PayloadAddress, SpanKind, SpanRecord, SpanStatistics};
 
 use crate::{chunk, header::VariableEntry, layout};
@@ -27,57 +29,79 @@ pub const FIELDS: [&str; NUM_FIELDS] = [
 /// Number of fields of a span.
 pub(crate) const NUM_FIELDS: usize = 16;
 
+/// The spans of one chunk that were put so far, by their place: row in the chunk × number of nodes + node.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct OpenSpans(pub BTreeMap<u32, [f64; NUM_FIELDS]>);
+
+impl OpenSpans {
+    pub fn set(&mut self, place: u32, record: &SpanRecord) {
+        self.0.insert(place, fields_of(record));
+    }
+
+    pub fn starts(&self) -> impl Iterator<Item = f64> + '_ {
+        self.0.values().map(|fields| fields[0])
+    }
+
+    pub fn into_chunk(self, num_rows: u32, num_nodes: usize) -> SpanChunk {
+        let mut fields = vec![[f64::NAN; NUM_FIELDS]; num_rows as usize * num_nodes];
+        self.0.into_iter().for_each(|(place, span)| fields[place as usize] = span);
+        SpanChunk { num_nodes, fields }
+    }
+}
+
 /// One chunk of spans: `[row, node, field]`, the rows of one shard.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct SpanChunk {
     num_nodes: usize,
+    /// `[row, node]`.
+    fields: Vec<[f64; NUM_FIELDS]>,
+}
+
+/// In which order the numbers of a chunk are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SpanOrder {
     /// `[row, node, field]`.
-    values: Vec<f64>,
+    BySpan,
+    /// `[field, row, node]`.
+    ByField,
 }
 
 impl SpanChunk {
-    pub fn new(num_rows: u32, num_nodes: usize) -> Self {
-        Self { num_nodes, values: vec![f64::NAN; num_rows as usize * num_nodes * NUM_FIELDS] }
-    }
-
     /// Bytes of a chunk before compression.
     pub fn size(num_rows: u32, num_nodes: usize) -> usize {
         8 * NUM_FIELDS * num_nodes * num_rows as usize
     }
 
     pub fn num_bytes(&self) -> usize {
-        8 * self.values.len()
+        8 * NUM_FIELDS * self.fields.len()
     }
 
     pub fn fields(&self, row_in_shard: u32, node: usize) -> &[f64; NUM_FIELDS] {
-        let (fields, _) = self.values.as_chunks();
-        &fields[row_in_shard as usize * self.num_nodes + node]
+        &self.fields[row_in_shard as usize * self.num_nodes + node]
     }
 
-    pub fn set(&mut self, row_in_shard: u32, node: usize, record: &SpanRecord) {
-        let (fields, _) = self.values.as_chunks_mut();
-        fields[row_in_shard as usize * self.num_nodes + node] = fields_of(record);
+    pub fn encode(&self, order: SpanOrder, zstd_level: i32) -> std::io::Result<Vec<u8>> {
+        let mut bytes = Vec::with_capacity(self.num_bytes());
+        let mut push = |value: &f64| bytes.extend_from_slice(&value.to_le_bytes());
+        match order {
+            SpanOrder::BySpan => self.fields.iter().flatten().for_each(push),
+            SpanOrder::ByField => {
+                (0..NUM_FIELDS).for_each(|field| self.fields.iter().for_each(|span| push(&span[field])));
+            }
+        }
+        chunk::encode_once(&bytes, zstd_level)
     }
 
-    pub fn starts(&self) -> impl Iterator<Item = f64> + '_ {
-        self.values.iter().step_by(NUM_FIELDS).copied().filter(|start| !start.is_nan())
-    }
-
-    pub fn to_bytes(&self) -> Vec<u8> {
-        self.values.iter().flat_map(|v| v.to_le_bytes()).collect()
-    }
-
-    pub fn from_bytes(num_nodes: usize, bytes: &[u8]) -> Self {
+    pub fn decode(order: SpanOrder, num_rows: u32, num_nodes: usize, stored: &[u8]) -> Result<Self, String> {
+        let bytes = chunk::decode(stored, Self::size(num_rows, num_nodes))?;
         let (values, _) = bytes.as_chunks();
-        Self { num_nodes, values: values.iter().map(|&b| f64::from_le_bytes(b)).collect() }
-    }
-
-    pub fn encode(&self, zstd_level: i32) -> std::io::Result<Vec<u8>> {
-        chunk::encode(&self.to_bytes(), zstd_level)
-    }
-
-    pub fn decode(num_rows: u32, num_nodes: usize, stored: &[u8]) -> Result<Self, String> {
-        Ok(Self::from_bytes(num_nodes, &chunk::decode(stored, Self::size(num_rows, num_nodes))?))
+        let value = |at: usize| f64::from_le_bytes(values[at]);
+        let num_spans = values.len() / NUM_FIELDS;
+        let span = |span: usize| match order {
+            SpanOrder::BySpan => std::array::from_fn(|field| value(span * NUM_FIELDS + field)),
+            SpanOrder::ByField => std::array::from_fn(|field| value(field * num_spans + span)),
+        };
+        Ok(Self { num_nodes, fields: (0..num_spans).map(span).collect() })
     }
 }
 

@@ -29,6 +29,8 @@ use crate::{
 
 /// Bytes of spans and of shard indexes that a store keeps, each.
 const CACHE_BYTES: usize = 64 << 20;
+/// What remembering that something is absent may take.
+const ABSENT_BYTES: usize = 64;
 /// Files that a store keeps open.
 const MAX_OPEN_FILES: usize = 200;
 /// Two reads of a shard become one where no more than this lies between them.
@@ -42,7 +44,10 @@ pub struct Store {
     pub(crate) root: PathBuf,
     header: Header,
     tree: Octree,
-    spans: ByteCache<SpanChunkId, SpanChunk>,
+    /// Chunks of spans read so far; `None` for those that do not exist.
+    spans: ByteCache<SpanChunkId, Option<SpanChunk>>,
+    /// Whether there is a folder of spans of a variable, level and window length.
+    span_folders: ByteCache<(u16, u8, u32), bool>,
     shards: ByteCache<ShardId, ShardFile>,
     /// Bytes of shards and spans read so far.
     bytes_read: AtomicU64,
@@ -66,6 +71,7 @@ impl Store {
             header,
             tree,
             spans: ByteCache::new(CACHE_BYTES, usize::MAX),
+            span_folders: ByteCache::new(CACHE_BYTES, usize::MAX),
             shards: ByteCache::new(CACHE_BYTES, MAX_OPEN_FILES),
             bytes_read: AtomicU64::new(0),
         })
@@ -106,7 +112,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Io`] if a folder cannot be listed.
     pub fn stored_bytes(&self) -> Result<u64, StoreError> {
-        Ok(files::list_files(&self.root)?.iter().map(|(_, len)| len).sum())
+        Ok(files::list(&self.root)?.files.iter().map(|(_, len)| len).sum())
     }
 
     /// The span of every node of a level that holds a step, in node order.
@@ -122,18 +128,37 @@ impl Store {
         }
         let num_nodes = self.header.num_nodes(level);
         let mut found: Vec<Option<SpanRecord>> = vec![None; num_nodes];
-        for &window in &self.header.variables[variable].windows {
+        for (window, row) in self.rows_of(variable, step) {
+            self.add_row(variable as u16, level, window, row, step, &mut found)?;
+        }
+        match found.iter().position(Option::is_none) {
+            Some(node) => Err(self.missing_span(variable, level, node as u32, step)),
+            None => Ok(found.into_iter().flatten().collect()),
+        }
+    }
+
+    /// Window lengths and rows of the spans that can hold a step.
+    fn rows_of(&self, variable: usize, step: u32) -> impl Iterator<Item = (u32, u32)> + '_ {
+        self.header.variables[variable].windows.iter().flat_map(move |&window| {
             let first = layout::row((step + 1).saturating_sub(window), window);
-            for row in first..=layout::row(step, window) {
-                self.add_row(variable as u16, level, window, row, step, &mut found)?;
-            }
+            (first..=layout::row(step, window)).map(move |row| (window, row))
+        })
+    }
+
+    fn missing_span(&self, variable: usize, level: u8, node: u32, step: u32) -> StoreError {
+        let mut problem = format!("no span holds step {step}");
+        let files = self.rows_of(variable, step).filter_map(|(window, row)| {
+            let shard = row / self.header.rows_per_shard(window);
+            let id = SpanChunkId { variable: variable as u16, level, window, shard };
+            let is_absent = self.span_chunk(&id).is_ok_and(|chunk| chunk.is_none());
+            is_absent.then(|| self.header.span_file(&id))
+        });
+        let mut files: Vec<String> = files.collect();
+        files.dedup();
+        if !files.is_empty() {
+            problem += &format!(": lost is {}", files.join(" or "));
         }
-        let missing = found.iter().position(Option::is_none);
-        if let Some(node) = missing {
-            let problem = format!("no span holds step {step}");
-            return Err(self.brick_error(&self.root, variable, level, node as u32, step, problem));
-        }
-        Ok(found.into_iter().flatten().collect())
+        self.brick_error(&self.root, variable, level, node, step, problem)
     }
 
     /// Adds the spans of one row that hold a step.
@@ -148,8 +173,9 @@ impl Store {
     ) -> Result<(), StoreError> {
         let rows = self.header.rows_per_shard(window);
         let id = SpanChunkId { variable, level, window, shard: row / rows };
-        let Some(chunk) = self.span_chunk(&id)? else {
-            if !self.is_complete() {
+        let chunk = self.span_chunk(&id)?;
+        let Some(chunk) = chunk.as_ref() else {
+            if self.header.sparse || !self.is_complete() {
                 return Ok(());
             }
             let path = self.root.join(self.header.span_file(&id));
@@ -180,21 +206,44 @@ impl Store {
     }
 
     /// A chunk of spans; `None` where its file is absent.
-    pub(crate) fn span_chunk(&self, id: &SpanChunkId) -> Result<Option<Arc<SpanChunk>>, StoreError> {
+    ///
+    /// Of a store that is still written, too, what is absent may stay so: chunks that appear after the header was read hold
+    /// no span of the steps that it calls finished.
+    pub(crate) fn span_chunk(&self, id: &SpanChunkId) -> Result<Arc<Option<SpanChunk>>, StoreError> {
         if let Some(chunk) = self.spans.get(id) {
-            return Ok(Some(chunk));
+            return Ok(chunk);
         }
+        let chunk = match self.has_span_folder(id) {
+            true => self.read_span_chunk(id)?,
+            false => None,
+        };
+        let bytes = ABSENT_BYTES + chunk.as_ref().map_or(0, SpanChunk::num_bytes);
+        let chunk = Arc::new(chunk);
+        self.spans.insert(*id, chunk.clone(), bytes);
+        Ok(chunk)
+    }
+
+    /// Whether any chunk of spans of a window length can be there: most windows of a variable are not used at most levels.
+    fn has_span_folder(&self, id: &SpanChunkId) -> bool {
+        let key = (id.variable, id.level, id.window);
+        if let Some(found) = self.span_folders.get(&key) {
+            return *found;
+        }
+        let found = self.root.join(self.header.data_folder(key, None)).is_dir();
+        self.span_folders.insert(key, Arc::new(found), ABSENT_BYTES);
+        found
+    }
+
+    fn read_span_chunk(&self, id: &SpanChunkId) -> Result<Option<SpanChunk>, StoreError> {
         let path = self.root.join(self.header.span_file(id));
         let (rows, num_nodes) = (self.header.rows_per_shard(id.window), self.header.num_nodes(id.level));
         let most = crate::chunk::largest_stored(SpanChunk::size(rows, num_nodes));
         let Some(stored) = files::read_whole(&path, most as u64)? else { return Ok(None) };
-        let chunk = SpanChunk::decode(rows, num_nodes, &stored).map_err(|problem| {
-            StoreError::corrupt(&path, "spans", format!("{} bytes", stored.len()), problem)
-        })?;
-        let (bytes, chunk) = (chunk.num_bytes(), Arc::new(chunk));
         self.bytes_read.fetch_add(stored.len() as u64, Ordering::Relaxed);
-        self.spans.insert(*id, chunk.clone(), bytes);
-        Ok(Some(chunk))
+        let chunk = SpanChunk::decode(self.header.span_order(), rows, num_nodes, &stored);
+        chunk.map(Some).map_err(|problem| {
+            StoreError::corrupt(&path, "spans", format!("{} bytes", stored.len()), problem)
+        })
     }
 
     /// The payload of a coded span.

@@ -8,10 +8,10 @@ use std::{
 
 use crate::{
     Header, Store, StoreError,
-    arrays::{ShardId, SpanChunkId},
+    arrays::{Child, SpanChunkId},
     files,
     header::Totals,
-    journal,
+    journal, layout,
     store::{read_header, read_nodes},
     verify_shard::ShardCheck,
     writer::nodes_file,
@@ -67,7 +67,7 @@ pub(crate) struct Counted {
 /// samples lie within the drawn range, statistics, and totals. Of a store that is not complete the finished steps are checked.
 pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyReport {
     let mut report = VerifyReport::default();
-    check_metadata(store, &mut report);
+    check_header(store, &mut report);
     let header = store.header();
     let num_shards: u64 = header.each_window().map(|(_, _, w)| u64::from(header.num_shards(w))).sum();
     let num_steps = u64::from(header.num_steps_finished);
@@ -100,7 +100,7 @@ pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyRepo
     report
 }
 
-fn check_metadata(store: &Store, report: &mut VerifyReport) {
+fn check_header(store: &Store, report: &mut VerifyReport) {
     let (root, header) = (store.path(), store.header());
     match read_header(root) {
         Ok(found) if found == *header => {}
@@ -111,23 +111,6 @@ fn check_metadata(store: &Store, report: &mut VerifyReport) {
             "open the store anew",
         )),
         Err(error) => report.add(error),
-    }
-    let children = match header.children() {
-        Ok(children) => children,
-        Err(error) => return report.add(error),
-    };
-    for (folder, text) in children {
-        let file = root.join(folder).join("zarr.json");
-        match files::read_whole(&file, text.len() as u64) {
-            Ok(Some(found)) if found == text.as_bytes() => {}
-            Ok(Some(_)) => {
-                report.add(StoreError::corrupt(&file, "text", "different", "it must follow from the header"))
-            }
-            Ok(None) => {
-                report.add(StoreError::corrupt(&file, "file", "absent", "it must follow from the header"))
-            }
-            Err(error) => report.add(error),
-        }
     }
     for geometry in header.geometry() {
         let num_nodes = header.num_nodes(geometry.level);
@@ -142,57 +125,74 @@ fn check_metadata(store: &Store, report: &mut VerifyReport) {
     }
 }
 
-/// Checks that no file is there that should not be, and sums up those of the data. Missing files of data are found
-/// by those who need them.
+/// Checks that no file is there that should not be, that all metadata is there that should be, byte for byte, and
+/// sums up the files of the data. Missing files of data are found by those who need them.
 fn check_files(store: &Store, report: &mut VerifyReport, counted: &mut Counted) {
     let (root, header) = (store.path(), store.header());
-    let listed = match files::list_files(root) {
-        Ok(listed) => listed,
-        Err(error) => return report.add(error),
+    let (listed, children) = match (files::list(root), header.children()) {
+        (Ok(listed), Ok(children)) => (listed, children),
+        (Err(error), _) | (_, Err(error)) => return report.add(error),
     };
-    let mut metadata: HashSet<String> = ["zarr.json".to_owned()].into();
-    metadata
-        .extend(header.children().unwrap_or_default().into_iter().map(|(folder, _)| folder + "/zarr.json"));
-    metadata.extend((0..header.levels.len()).map(|level| nodes_file(level as u8)));
+    let unexpected = |path: &Path, what: &'static str| {
+        StoreError::corrupt(path, what, "unexpected", "it is no part of the store: remove it")
+    };
+    let in_journal =
+        |path: &Path| path.strip_prefix(root).is_ok_and(|path| path.starts_with(journal::FOLDER));
     let folders = data_folders(header);
-    for (path, len) in listed {
-        let relative = relative_name(root, &path);
-        let in_journal = relative.starts_with(&format!("{}/", journal::FOLDER));
+    let metadata: HashSet<String> = children.iter().map(Child::file).collect();
+    let nodes: HashSet<String> = (0..header.levels.len()).map(|level| nodes_file(level as u8)).collect();
+    // The folders that hold data, at any depth.
+    let mut used: HashSet<String> = HashSet::new();
+    for (path, len) in listed.files.iter().filter(|(path, _)| !in_journal(path)) {
+        let relative = relative_name(root, path);
         if is_data_file(&folders, &relative) {
             counted.totals.data_bytes += len;
-        } else if !metadata.contains(&relative) && !in_journal {
-            report.add(StoreError::corrupt(
-                &path,
-                "file",
-                "unexpected",
-                "it is no part of the store: remove it",
-            ));
+            let above = relative.match_indices('/').map(|(at, _)| relative[..at].to_owned());
+            used.extend(above);
+        } else if relative != "zarr.json" && !metadata.contains(&relative) && !nodes.contains(&relative) {
+            report.add(unexpected(path, "file"));
         }
+    }
+    if header.sparse && store.is_complete() {
+        let empty = listed.empty_folders.iter().filter(|path| !in_journal(path));
+        empty.for_each(|path| report.add(unexpected(path, "empty folder")));
+    }
+    for child in children {
+        check_child(store, &child, !child.if_used || used.contains(&child.folder), report);
+    }
+}
+
+/// Checks the metadata of a folder.
+fn check_child(store: &Store, child: &Child, is_due: bool, report: &mut VerifyReport) {
+    let file = store.path().join(child.file());
+    let corrupt = |field: &str, value: &str, problem: &str| StoreError::corrupt(&file, field, value, problem);
+    match files::read_whole(&file, child.text.len() as u64) {
+        Ok(None) if is_due => report.add(corrupt("file", "absent", "it must follow from the header")),
+        Ok(None) => {}
+        // A writer makes metadata before the data, and may have been killed between the two.
+        Ok(Some(_)) if !is_due && store.is_complete() => {
+            report.add(corrupt("file", "unexpected", "there is no data in its folder: remove that"));
+        }
+        Ok(Some(found)) if found == child.text.as_bytes() => {}
+        Ok(Some(_)) => report.add(corrupt("text", "different", "it must follow from the header")),
+        Err(error) => report.add(error),
     }
 }
 
 /// Folders of the arrays that hold data, each with the number of its shards.
 fn data_folders(header: &Header) -> HashMap<String, u32> {
-    let mut folders = HashMap::new();
-    let folder_of =
-        |file: String| file.rsplit_once('/').map(|(folder, _)| folder.to_owned()).unwrap_or_default();
-    for (variable, level, window) in header.each_window() {
-        let num_shards = header.num_shards(window);
-        let spans = header.span_file(&SpanChunkId { variable, level, window, shard: 0 });
-        folders.insert(folder_of(spans), num_shards);
-        for array in header.arrays_of(variable, level, window) {
-            folders.insert(folder_of(header.shard_file(&ShardId { array, shard: 0 })), num_shards);
-        }
-    }
-    folders
+    let of_window = |key: (u16, u8, u32)| {
+        let kinds = header.data_kinds(key).into_iter();
+        kinds.map(move |kind| (header.data_folder(key, kind), header.num_shards(key.2)))
+    };
+    header.each_window().flat_map(of_window).collect()
 }
 
-/// Whether a file is a shard of one of these folders: `c.{shard}.0.0`.
+/// Whether a file is a shard or a chunk of spans of one of these folders.
 fn is_data_file(folders: &HashMap<String, u32>, relative: &str) -> bool {
     let Some((folder, name)) = relative.rsplit_once('/') else { return false };
-    let shard = name.strip_prefix("c.").and_then(|name| name.strip_suffix(".0.0"));
-    let number = shard.and_then(|digits| digits.parse::<u32>().ok().filter(|n| n.to_string() == digits));
-    number.zip(folders.get(folder)).is_some_and(|(number, num_shards)| number < *num_shards)
+    let shard = layout::shard_of(name);
+    shard.zip(folders.get(folder)).is_some_and(|(shard, num_shards)| shard < *num_shards)
 }
 
 fn relative_name(root: &Path, path: &Path) -> String {

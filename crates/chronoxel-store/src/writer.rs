@@ -5,7 +5,7 @@
 //! commit; the header is replaced after it, and so never speaks of what is not there.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, HashSet},
     fs::{self, File},
     io::Write,
     path::{Path, PathBuf},
@@ -24,7 +24,7 @@ use crate::{
     journal,
     put::Put,
     shard::{OpenShard, ShardFile},
-    spans::SpanChunk,
+    spans::OpenSpans,
 };
 
 /// Writes one store; see the crate's documentation for the order of calls.
@@ -49,6 +49,8 @@ pub struct StoreWriter {
     pub(crate) digests_crc: u32,
     pub(crate) digest_file: File,
     pub(crate) closed_shards: ByteCache<ShardId, ShardFile>,
+    /// Arrays that have their folders and metadata.
+    pub(crate) described: HashSet<((u16, u8, u32), Option<ArrayKind>)>,
     /// Files that may not be on disk yet, and their lengths.
     pub(crate) unsynced: Vec<(PathBuf, u64)>,
     pub(crate) unsynced_bytes: u64,
@@ -62,7 +64,7 @@ pub struct StoreWriter {
 #[derive(Debug, Default)]
 pub(crate) struct OpenWindow {
     pub num_shards_closed: u32,
-    pub span_chunks: BTreeMap<u32, SpanChunk>,
+    pub span_chunks: BTreeMap<u32, OpenSpans>,
     pub shards: BTreeMap<(ArrayKind, u32), OpenShard>,
 }
 
@@ -77,11 +79,10 @@ impl StoreWriter {
         make_room(path, overwrite)?;
         let journal = path.join(journal::FOLDER);
         fs::create_dir_all(&journal).map_err(StoreError::io(&journal, "create"))?;
-        for (folder, text) in header.children()? {
-            let folder = path.join(folder);
+        for child in header.fixed_children()? {
+            let folder = path.join(&child.folder);
             fs::create_dir_all(&folder).map_err(StoreError::io(&folder, "create"))?;
-            let file = folder.join("zarr.json");
-            fs::write(&file, text).map_err(StoreError::io(&file, "write"))?;
+            files::write(&path.join(child.file()), child.text.as_bytes())?;
         }
         for level in 0..header.levels.len() as u8 {
             let mut nodes: Vec<u8> =
@@ -121,6 +122,7 @@ impl StoreWriter {
             digests_crc: 0,
             digest_file,
             closed_shards: ByteCache::new(16 << 20, 64),
+            described: HashSet::new(),
             unsynced: Vec::new(),
             unsynced_bytes: 0,
             carry: Value::Null,

@@ -82,6 +82,33 @@ fn a_missing_cut_or_added_file_is_found() {
 }
 
 #[test]
+fn what_belongs_to_no_data_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.cxl");
+    write_store(&path, &description([9, 8, 8], 2));
+    let (sound, class) = (tree_of(&path), path.join("speed/L0/W1/C0"));
+    assert!(!class.exists(), "speed is of class 1 only");
+    // Metadata of an array without a file, right as it may be; then a folder without that.
+    let other = std::fs::read(path.join("speed/L0/W1/zarr.json")).unwrap();
+    std::fs::create_dir(&class).unwrap();
+    assert!(problems_of(&path).iter().any(|p| p.contains("C0: empty folder is unexpected")));
+    std::fs::write(class.join("zarr.json"), other).unwrap();
+    let problems = problems_of(&path);
+    assert!(problems.len() == 1 && problems[0].contains("there is no data in its folder"), "{problems:?}");
+    std::fs::remove_dir_all(&class).unwrap();
+    assert!(problems_of(&path).is_empty() && tree_of(&path) == sound);
+    // Spans are lost with everything they speak of, and with what remains of their payloads.
+    std::fs::remove_file(path.join("speed/L0/W1/spans/c.0.0.0")).unwrap();
+    let problems = problems_of(&path);
+    let lost = "no span holds step 1: lost is speed/L0/W1/spans/c.0.0.0";
+    for due in [lost, "C1/S0/c.0.0.0: file is unexpected", "mask/c.0.0.0: file is unexpected"] {
+        assert!(problems.iter().any(|p| p.contains(due)), "{due}: {problems:?}");
+    }
+    std::fs::remove_dir_all(path.join("speed/L0/W1")).unwrap();
+    assert!(problems_of(&path).iter().any(|p| p.contains(lost)));
+}
+
+#[test]
 fn a_damaged_payload_is_named_and_the_others_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.cxl");

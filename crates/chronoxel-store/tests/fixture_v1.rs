@@ -11,8 +11,14 @@ use chronoxel_store::{Store, StoreWriter, Totals, verify};
 
 use fixture::{NUM_STEPS, expected, positions, window_of};
 
+/// Of the first stores of the version: everything has a folder.
 fn committed() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v1.cxl")
+}
+
+/// The same store, what holds nothing left out.
+fn committed_sparse() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v1_sparse.cxl")
 }
 
 /// Holds every sample of every step, apron included, against its closed form.
@@ -58,16 +64,18 @@ fn check_samples(store: &Store) {
 }
 
 #[test]
-fn the_committed_store_is_sound_and_decodes_to_its_closed_form() {
-    let store = Store::open(&committed()).unwrap();
-    let report = verify(&store, &|_, _| {});
-    assert!(report.is_ok(), "{:?}", report.problems);
-    check_samples(&store);
-    let header = store.header();
-    assert_eq!(header.variables[1].fill_value, Some(255.0));
-    assert_eq!((header.times.units.as_str(), header.times.times[3]), ("days", 2.25));
-    let totals = header.totals;
-    assert!(totals.empty == 5 && totals.shared > 20 && totals.masks < totals.masked, "{totals:?}");
+fn the_committed_stores_are_sound_and_decode_to_their_closed_form() {
+    for path in [committed(), committed_sparse()] {
+        let store = Store::open(&path).unwrap();
+        let report = verify(&store, &|_, _| {});
+        assert!(report.is_ok(), "{:?}", report.problems);
+        check_samples(&store);
+        let header = store.header();
+        assert_eq!(header.variables[1].fill_value, Some(255.0));
+        assert_eq!((header.times.units.as_str(), header.times.times[3]), ("days", 2.25));
+        let totals = header.totals;
+        assert!(totals.empty == 5 && totals.shared > 20 && totals.masks < totals.masked, "{totals:?}");
+    }
 }
 
 #[test]
@@ -91,12 +99,15 @@ fn the_generator_still_makes_the_same_store() {
     check_samples(&new);
     // Another version of zstd may give other bytes; everything else must be the same.
     let [mut new_header, mut old_header] = [new.header().clone(), old.header().clone()];
+    assert!(new_header.sparse && !old_header.sparse);
     for header in [&mut new_header, &mut old_header] {
+        header.sparse = true;
         header.totals = Totals { payload_bytes: 0, mask_bytes: 0, data_bytes: 0, ..header.totals };
     }
     assert_eq!(new_header, old_header);
     let names = |path: &Path| common::tree_of(path).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
-    assert_eq!(names(&path), names(&committed()));
+    assert_eq!(names(&path), names(&committed_sparse()));
+    assert!(names(&path).iter().all(|name| names(&committed()).contains(name)));
     for step in 0..NUM_STEPS {
         // Debug text, since absent statistics are NaN.
         let spans = |store: &Store| format!("{:?}", store.spans(1, 0, step).unwrap());

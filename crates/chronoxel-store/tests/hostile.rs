@@ -49,21 +49,22 @@ fn headers_that_lie_are_refused() {
     assert_eq!(problems_of(&path), [] as [&str; 0], "an edit with a right checksum is no damage by itself");
     for (from, to, message) in [
         ("\"version\": 1", "\"version\": 2", "version is 2, which is not supported"),
-        ("\"edge\": 8", "\"edge\": 9", "bricks"),
-        ("\"edge\": 8", "\"edge\": 16", "levels"),
-        ("\"num_nodes\": 2", "\"num_nodes\": 1", "size in bytes"),
-        ("\"num_nodes\": 2", "\"num_nodes\": 2000000000", "levels"),
-        ("\"num_nodes\": 2", "\"num_nodes\": 18446744073709551615", "levels"),
+        ("\"edge\":8", "\"edge\":9", "bricks"),
+        ("\"edge\":8", "\"edge\":16", "levels"),
+        ("\"num_nodes\":2", "\"num_nodes\":1", "size in bytes"),
+        ("\"num_nodes\":2", "\"num_nodes\":2000000000", "levels"),
+        ("\"num_nodes\":2", "\"num_nodes\":18446744073709551615", "levels"),
         ("\"apron_stored\": true", "\"apron_stored\": false", "apron_stored"),
-        ("\"folder\": \"speed\"", "\"folder\": \"../../etc\"", "folder"),
-        ("\"index_bits\": 8", "\"index_bits\": 9", "index_bits"),
-        ("\"windows\": [", "\"windows\": [ 0,", "windows"),
-        ("\"windows\": [", "\"windows\": [ 1,", "windows"),
+        ("\"folder\":\"speed\"", "\"folder\":\"../../etc\"", "folder"),
+        ("\"index_bits\":8", "\"index_bits\":9", "index_bits"),
+        ("\"windows\":[", "\"windows\":[ 0,", "windows"),
+        ("\"windows\":[", "\"windows\":[ 1,", "windows"),
         ("\"num_steps_finished\": 2", "\"num_steps_finished\": 3", "num_steps_finished"),
         ("\"steps_per_shard\": 64", "\"steps_per_shard\": 1", "steps_per_shard"),
-        ("\"dims\": [\n          9,", "\"dims\": [\n          900000000000,", "grid"),
+        ("\"dims\":[9,", "\"dims\":[900000000000,", "grid"),
         ("\"encoder\"", "\"surprise\"", "surprise"),
         ("\"zstd_level\": 1", "\"zstd_level\": 99", "zstd_level"),
+        ("\"sparse\": true", "\"sparse\": 7", "attributes.chronoxel"),
     ] {
         std::fs::write(path.join("zarr.json"), &original).unwrap();
         edit_header(&path, from, to);
@@ -180,14 +181,16 @@ fn spans_that_contradict_the_header_are_refused() {
         (15, 1e9, "statistics"),
     ] {
         let mut bytes = original.clone();
-        bytes[8 * field..8 * field + 8].copy_from_slice(&f64::to_le_bytes(value));
+        // Stored field after field.
+        let at = field * num_bytes / 16;
+        bytes[at..at + 8].copy_from_slice(&f64::to_le_bytes(value));
         std::fs::write(&file, with_crc(&zstd::bulk::compress(&bytes, 1).unwrap())).unwrap();
         let problems = problems_of(&path);
         assert!(problems.iter().any(|p| p.contains(message)), "{field} = {value}: {problems:?}");
     }
     // All NaN: the span is missing.
     let mut bytes = original.clone();
-    bytes[..128].fill(0xff);
+    (0..16).for_each(|field| bytes[field * num_bytes / 16..][..8].fill(0xff));
     std::fs::write(&file, with_crc(&zstd::bulk::compress(&bytes, 1).unwrap())).unwrap();
     assert!(
         problems_of(&path)
