@@ -3,6 +3,7 @@
 //! A decoded sample is the sum over the stages of `table[row(step)][index]`, whatever made the tables
 //! and the indices. Encoders may be as clever as they like; there is one decode rule.
 
+pub mod bounded;
 pub mod bytes;
 pub mod class;
 pub mod decode;
