@@ -4,6 +4,7 @@
 //! and the indices. Encoders may be as clever as they like; there is one decode rule.
 
 pub mod allocation;
+pub mod bounded;
 pub mod bytes;
 pub mod class;
 pub mod dct;
