@@ -8,7 +8,6 @@
 
 mod analyse;
 mod budget;
-#[cfg_attr(not(test), expect(dead_code, reason = "the pipeline of windows through time calls it"))]
 mod choose;
 mod coding;
 mod cut;

@@ -14,7 +14,7 @@ fn an_interrupted_simulation_is_run_again_up_to_the_step() {
     let folder = tempfile::tempdir().unwrap();
     let (path, copy) = (folder.path().join("s.cxl"), folder.path().join("copy.cxl"));
     let options = EncodeOptions {
-        max_error: Some(1e-3),
+        codec: Codec::Raw,
         brick_edge: 8,
         source_name: "plume".into(),
         ..EncodeOptions::default()

@@ -25,8 +25,7 @@ fn mixed(dims: [usize; 3], num_steps: usize) -> MemorySeries {
 
 fn options() -> EncodeOptions {
     EncodeOptions {
-        codec: Codec::Auto,
-        max_error: Some(1e-3),
+        codec: Codec::Raw,
         source_name: "mixed".into(),
         ..EncodeOptions::default()
     }
@@ -89,8 +88,8 @@ fn an_error_keeps_finished_steps_aside_and_a_resume_completes_them() {
     // Neither without being told, nor with other options, nor from another source.
     let refused = run(&mut series, &path, &options()).unwrap_err();
     assert!(matches!(refused, EncodeError::OutputExists { is_unfinished: true, .. }), "{refused}");
-    let refused = run(&mut series, &path, &EncodeOptions { max_error: Some(1e-2), ..resumed() }).unwrap_err();
-    assert!(refused.to_string().contains("max_error was Number(0.001) and is Number(0.01)"), "{refused}");
+    let refused = run(&mut series, &path, &EncodeOptions { bits: Some(8.0), ..resumed() }).unwrap_err();
+    assert!(refused.to_string().contains("bits was Null and is Number(8.0)"), "{refused}");
     let refused = run(&mut mixed([30, 20, 21], 37), &path, &resumed()).unwrap_err();
     assert!(refused.to_string().contains("grid was"), "{refused}");
     assert!(kept.exists());
@@ -211,10 +210,17 @@ fn unusable_outputs_and_options_are_refused() {
     assert!(error.to_string().contains("file/s.cxl"), "{error}");
     let path = folder.path().join("s.cxl");
     let unusable = [
-        (EncodeOptions { bits: Some(12.0), max_error: None, ..options() }, "--bits 12"),
-        (EncodeOptions { max_error: Some(-0.5), ..options() }, "--max-error -0.5"),
-        (EncodeOptions { max_error: Some(f64::NAN), ..options() }, "--max-error NaN"),
-        (EncodeOptions { codec: Codec::Raw, ..options() }, "--max-error 0.001"),
+        (EncodeOptions { bits: Some(12.0), ..options() }, "--bits 12"),
+        (EncodeOptions { codec: Codec::Auto, bits: Some(0.0), ..options() }, "--bits 0"),
+        (EncodeOptions { codec: Codec::Auto, bits: Some(1.0), max_error: Some(0.1), ..options() }, "--max-error 0.1"),
+        (EncodeOptions { codec: Codec::Vq, bits: Some(1.0), ..options() }, "--bits 1"),
+        (EncodeOptions { codec: Codec::Auto, max_error: Some(-0.5), ..options() }, "--max-error -0.5"),
+        (EncodeOptions { codec: Codec::Auto, max_error: Some(f64::NAN), ..options() }, "--max-error NaN"),
+        (EncodeOptions { max_error: Some(0.001), ..options() }, "--max-error 0.001"),
+        (EncodeOptions { codec: Codec::Vq, window: Some(3), ..options() }, "--window 3"),
+        (EncodeOptions { window: Some(4), ..options() }, "--window 4"),
+        (EncodeOptions { codec: Codec::Palette, stages: Some(4), ..options() }, "--stages 4"),
+        (EncodeOptions { stages: Some(2), ..options() }, "--stages 2"),
         (EncodeOptions { range: Some([2.0, 2.0]), ..options() }, "--range 2:2"),
         (EncodeOptions { brick_edge: 33, ..options() }, "brick edge is 33"),
         (EncodeOptions { overwrite: true, resume: true, ..options() }, "--overwrite"),

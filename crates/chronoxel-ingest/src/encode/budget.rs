@@ -193,7 +193,16 @@ mod tests {
         // 35 slices of 4 MiB at least; an eighth of the step would be 512 MiB.
         assert!(needed > 35 << 22 && needed < 300 << 20, "{needed}");
         let least = at(needed).unwrap();
-        assert_eq!((least.slab_slices, least.batch_bricks, least.batch_nodes), (1, 1, 1));
+        assert_eq!((least.slab_slices, least.batch_bricks), (1, 1));
+        // Windows of 8 steps: what one node takes for each thread, and one of a batch.
+        let windowed = Task { window: 8, copies: 5, ..task };
+        let Err(EncodeError::Memory { needed: with_windows, .. }) = portions(&windowed, 1 << 20) else {
+            panic!("1 MiB cannot be enough")
+        };
+        assert!(with_windows > needed + 8 * 42_875 * 4 * 5 * 2, "{with_windows}");
+        let least = portions(&windowed, with_windows).unwrap();
+        assert_eq!((least.batch_nodes, least.scratch_bytes), (1, 0));
+        assert!(portions(&windowed, 1 << 33).unwrap().scratch_bytes > 1 << 32);
         // What the source holds is on top, with the sixteenth that goes with it.
         let beside = Task { source_bytes: 1 << 30, ..task };
         let Err(error) = portions(&beside, needed + (1 << 30)) else { panic!("a sixteenth is missing") };

@@ -243,6 +243,7 @@ impl EncodeOptions {
             (Codec::Palette, ..) => palettes(PaletteKind::Product),
             (Codec::Vq, ..) => palettes(PaletteKind::Vector),
             (Codec::PaletteSlice, ..) => palettes(PaletteKind::Product),
+            (Codec::Auto, Some(max_error), _) => windows(16, Method::Bound { max_error }),
             (Codec::Auto, ..) | (Codec::Raw, ..) => {
                 let bits = if variable.sample_type.num_bytes() == 1 { 8 } else { 16 };
                 How::Steps { bits: self.bits.map_or(bits, |bits| bits as u8) }

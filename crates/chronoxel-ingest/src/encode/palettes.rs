@@ -2,7 +2,7 @@
 
 use chronoxel_codec::{
     CodecError, Palette, Payload, PayloadClass, StageClass, TableClass, UnitWindow, decoded_range,
-    vector_palette,
+    product_palette, vector_palette,
 };
 use chronoxel_core::BrickLayout;
 
@@ -61,7 +61,7 @@ fn payload(
     let mut stages = Vec::with_capacity(num_stages);
     loop {
         let palette: Palette = match kind {
-            PaletteKind::Product => vector_palette(&samples, NUM_ENTRIES),
+            PaletteKind::Product => product_palette(&samples, NUM_ENTRIES.ilog2()),
             PaletteKind::Vector => vector_palette(&samples, NUM_ENTRIES),
         };
         stages.push(palette.to_stage(&samples, layout, NUM_ENTRIES, window as usize)?);

@@ -32,8 +32,6 @@ pub struct CutBrick<'a, T> {
     pub samples: &'a mut Vec<T>,
     /// What is known of them.
     pub analysis: Analysis,
-    /// Range of all slices of the step that were read so far.
-    pub seen: [f64; 2],
 }
 
 /// What becomes of a brick; called in parallel.
@@ -87,7 +85,7 @@ impl Stepper<'_> {
             .map_init(Vec::new, |samples: &mut Vec<T>, &(rank, brick)| {
                 let may_be_masked = cut(layer.window, brick, &self.plan.layout, samples);
                 let analysis = analyse(samples, may_be_masked, brick, geometry, &self.plan.layout);
-                of_brick(CutBrick { geometry, brick, rank, samples, analysis, seen: layer.marks.range })
+                of_brick(CutBrick { geometry, brick, rank, samples, analysis })
             })
             .collect();
         // In order, so that of several errors it is always the first.

@@ -48,8 +48,6 @@ pub struct Layer<'a, T> {
     pub window: &'a Window<T>,
     /// z of the layer, counted in bricks.
     pub z: usize,
-    /// Of all slices of the step read so far.
-    pub marks: Marks,
 }
 
 /// Streams a step to its end.
@@ -129,7 +127,7 @@ impl<'a, T: Real> Step<'a, T> {
         if self.windows[0].layer_is_complete(layout) {
             for window in &mut self.windows {
                 while window.layer_is_complete(layout) {
-                    on_layer(Layer { window, z: window.next_layer, marks: self.marks })?;
+                    on_layer(Layer { window, z: window.next_layer })?;
                     window.next_layer += 1;
                 }
             }

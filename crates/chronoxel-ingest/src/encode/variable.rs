@@ -67,6 +67,8 @@ impl How {
             Self::Steps { .. } => 0,
             // The samples, in units of their range, a residual, indices and tables.
             Self::Windows { method: Method::Palettes { .. }, .. } => 5,
+            // The samples, the smallest and largest of them, points, payloads of all candidates.
+            Self::Windows { method: Method::Bound { .. }, .. } => 8,
         }
     }
 
@@ -266,6 +268,7 @@ impl VariableStep<'_> {
             tree: stepper.tree,
             method,
             range: self.coding.range.unwrap_or(ranges[ranges.len() - 1]),
+            zstd_level: writer.header().zstd_level,
             classes: self.classes,
             variable: &self.coding.name,
             batch_nodes: *batch_nodes,

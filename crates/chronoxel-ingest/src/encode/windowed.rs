@@ -6,10 +6,11 @@ use std::path::Path;
 
 use chronoxel_codec::{PayloadClass, stage_to_bytes};
 use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree};
-use chronoxel_store::{SpanContent, SpanWrite};
+use chronoxel_store::{SpanContent, SpanWrite, stored_len};
 use rayon::prelude::*;
 
 use super::analyse::Analysis;
+use super::choose::{self, NodeWindow, within_bound};
 use super::coding::{Choice, Refusal};
 use super::node::{NodeSteps, Piece, core_inside};
 use super::palettes::{self, PaletteKind};
@@ -29,6 +30,11 @@ pub enum Method {
         /// Stages of each.
         num_stages: usize,
     },
+    /// In the fewest bytes that hold an error bound.
+    Bound {
+        /// Largest error, relative to the range.
+        max_error: f64,
+    },
 }
 
 impl Method {
@@ -36,6 +42,7 @@ impl Method {
     pub fn classes(&self, window: u32) -> Vec<PayloadClass> {
         match self {
             Self::Palettes { num_stages, .. } => palettes::classes(window, *num_stages),
+            Self::Bound { .. } => choose::classes(window),
         }
     }
 }
@@ -74,6 +81,8 @@ pub struct NodeCoder<'a> {
     pub method: Method,
     /// The range that relative errors refer to.
     pub range: [f64; 2],
+    /// Level of zstd in the store.
+    pub zstd_level: i32,
     /// The classes that payloads may have.
     pub classes: &'a [PayloadClass],
     /// Name of the variable, for messages.
@@ -187,7 +196,7 @@ impl<T: Real> OpenWindows<T> {
         let steps = NodeSteps::new(samples, analyses, lead, core, coder.layout);
         let refused = |source| coder.refused(source, first, level, brick);
         let mut pieces = Vec::new();
-        coder.pieces(&steps, 0, self.timing.window, &mut pieces).map_err(refused)?;
+        coder.pieces(level, &steps, 0, self.timing.window, &mut pieces).map_err(refused)?;
         Ok(pieces.into_iter().map(|piece| coder.span(rank, first, &steps, piece)).collect())
     }
 
@@ -206,9 +215,17 @@ impl NodeCoder<'_> {
         NodeId { level, morton: self.tree.nodes(level)[rank] }
     }
 
+    /// The largest absolute error for one that is relative to the range.
+    fn bound(&self, max_error: f64) -> f64 {
+        let [low, high] = self.range;
+        // Halved before the difference and doubled after, which cannot overflow on the way.
+        max_error * 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX)
+    }
+
     /// Codes the steps at places `place .. place + width` of a node: as one piece where that is possible, else in halves.
     fn pieces<T: Real>(
         &self,
+        level: u8,
         node: &NodeSteps<T>,
         place: u32,
         width: u32,
@@ -229,22 +246,40 @@ impl NodeCoder<'_> {
             out.push(piece(Choice::Empty, [f64::NAN; 2]));
             return Ok(());
         }
-        let same = |step: usize| node.samples[step].is_some() && node.masks[step] == node.masks[steps.start];
-        if !steps.clone().all(same) {
-            self.pieces(node, place, width / 2, out)?;
-            return self.pieces(node, place + width / 2, width / 2, out);
+        let all_have_data = steps.clone().all(|step| node.samples[step].is_some());
+        let same_mask = |step: usize| node.masks[step] == node.masks[steps.start];
+        let may_differ = matches!(self.method, Method::Bound { .. });
+        if !all_have_data || !(may_differ || steps.clone().all(same_mask)) {
+            self.pieces(level, node, place, width / 2, out)?;
+            return self.pieces(level, node, place + width / 2, width / 2, out);
         }
-        if let Some(value) = node.constant(steps.clone()) {
+        if let Some(value) = node.constant(steps.clone()).filter(|_| steps.clone().all(same_mask)) {
             let value = value.to_f64();
             out.push(piece(Choice::Constant(value), [value; 2]));
             return Ok(());
         }
         match self.method {
             Method::Palettes { kind, num_stages } => {
-                out.push(
-                    palettes::piece(node, steps, width, kind, num_stages, self.layout)
-                        .map_err(Refusal::Codec)?,
-                );
+                let piece = palettes::piece(node, steps, width, kind, num_stages, self.layout);
+                out.push(piece.map_err(Refusal::Codec)?);
+            }
+            Method::Bound { max_error } => {
+                let window = NodeWindow {
+                    steps: node.samples[steps.clone()].iter().flatten().map(Vec::as_slice).collect(),
+                    masks: node.masks[steps.clone()].iter().map(Option::as_ref).collect(),
+                    lead: node.lead.saturating_sub(place) as usize,
+                    window: width,
+                    whole_numbers: node.whole_numbers,
+                };
+                let stored = |bytes: &[u8]| stored_len(bytes, self.zstd_level);
+                let chosen = within_bound(&window, self.bound(max_error), level == 0, self.layout, &stored)?;
+                out.extend(chosen.into_iter().map(|p| Piece {
+                    start: steps.start + p.start,
+                    len: p.len,
+                    window: p.window,
+                    choice: p.content,
+                    drawn_range: p.drawn_range,
+                }));
             }
         }
         Ok(())
@@ -279,6 +314,7 @@ impl NodeCoder<'_> {
     }
 
     fn refused(&self, refusal: Refusal, step: u32, level: u8, brick: [usize; 3]) -> EncodeError {
-        refusal.into_error(self.variable, step as usize, level, brick, 0.0)
+        let max_error = if let Method::Bound { max_error } = self.method { max_error } else { 0.0 };
+        refusal.into_error(self.variable, step as usize, level, brick, max_error)
     }
 }

@@ -1,0 +1,175 @@
+//! Codecs that use time: windows out of phase, masks that move, short series, scratch files, interruptions.
+
+mod common;
+#[path = "common/files.rs"]
+mod files;
+
+use std::fs;
+use std::path::Path;
+
+use chronoxel_core::{SampleType, SpanKind};
+use chronoxel_ingest::{Codec, EncodeError, EncodeOptions, decode_step, encode, measure};
+use chronoxel_store::{Store, verify};
+use common::{MemorySeries, noise};
+use files::files_of;
+
+const CODECS: [Codec; 3] = [Codec::Palette, Codec::Vq, Codec::Auto];
+
+/// Waves that move, noise, holes that come and go, a quiet corner, and steps without any data.
+fn moving(dims: [usize; 3], num_steps: usize) -> MemorySeries {
+    MemorySeries::of(dims, SampleType::F32, num_steps, |s, [x, y, z]| match (x / 12 + y / 12 + z / 12) % 4 {
+        0 => f64::from((0.3 * (x as f32 + 0.5 * s as f32)).sin() * (0.2 * y as f32).cos()),
+        1 if s % 7 == 3 => f64::NAN,
+        1 => noise((s * 7 + x + 100 * (y + 100 * z)) as u64),
+        2 if (x + y + z + s / 3) % 11 == 0 => f64::NAN,
+        2 => 0.1 * (z + s) as f64,
+        _ => 3.0,
+    })
+}
+
+fn options(codec: Codec) -> EncodeOptions {
+    EncodeOptions {
+        codec,
+        window: Some(4),
+        max_error: (codec == Codec::Auto).then_some(2e-3),
+        brick_edge: 16,
+        source_name: "moving".into(),
+        ..EncodeOptions::default()
+    }
+}
+
+fn run(series: &mut MemorySeries, path: &Path, options: &EncodeOptions) -> Result<(), EncodeError> {
+    encode(series, path, options, &mut |_| {}).map(|_| ())
+}
+
+fn assert_sound(path: &Path) -> Store {
+    let store = Store::open(path).unwrap();
+    let report = verify(&store, &|_, _| {});
+    assert!(report.problems.is_empty(), "{:?}", report.problems);
+    store
+}
+
+#[test]
+fn windows_cover_every_step_of_every_node_out_of_phase() {
+    let folder = tempfile::tempdir().unwrap();
+    for codec in CODECS {
+        for num_steps in [1, 2, 5, 11] {
+            let path = folder.path().join(format!("{}-{num_steps}.cxl", codec.name()));
+            let mut series = moving([40, 33, 20], num_steps);
+            run(&mut series, &path, &options(codec)).unwrap();
+            let store = assert_sound(&path);
+            assert!(store.is_complete());
+            // Masks are exact; errors are those of a palette.
+            let found = measure(&store, &mut series, 0..num_steps).unwrap();
+            assert!(found.problems.is_empty(), "{:?}", found.problems);
+            let bound = if codec == Codec::Auto { 2e-3 } else { 0.5 };
+            assert!(found.variables[0].max_abs_error <= bound, "{codec:?}: {:?}", found.variables[0]);
+        }
+    }
+}
+
+#[test]
+fn a_step_replaces_about_one_payload_in_four() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.cxl");
+    let mut series = MemorySeries::of([64, 64, 64], SampleType::F32, 12, |s, [x, y, z]| {
+        noise((s * 7 + x + 100 * (y + 100 * z)) as u64)
+    });
+    run(&mut series, &path, &options(Codec::Palette)).unwrap();
+    let store = assert_sound(&path);
+    for step in 4..12 {
+        let spans = store.spans(0, 0, step).unwrap();
+        assert!(spans.iter().all(|span| matches!(span.kind, SpanKind::Coded { .. })));
+        let replaced = spans.iter().filter(|span| span.start == step).count();
+        assert_eq!(replaced, 16, "of 64, at step {step}");
+    }
+}
+
+#[test]
+fn threads_memory_and_the_scratch_file_do_not_change_a_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut series = moving([40, 50, 34], 6);
+    for codec in CODECS {
+        let tiny = EncodeOptions { memory_bytes: 1, ..options(codec) };
+        let least = match run(&mut series, &folder.path().join("x.cxl"), &tiny) {
+            Err(EncodeError::Memory { needed, .. }) => needed,
+            other => panic!("{other:?}"),
+        };
+        let mut expected = None;
+        for (threads, memory_bytes) in [(1, 1 << 30), (4, 1 << 30), (1, least), (3, 3 * least)] {
+            let path = folder.path().join(format!("{}-{threads}-{memory_bytes}.cxl", codec.name()));
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run(&mut series, &path, &EncodeOptions { memory_bytes, ..options(codec) }))
+                .unwrap();
+            let files = files_of(&path);
+            let expected = expected.get_or_insert_with(|| files.clone());
+            assert!(*expected == files, "{codec:?}, {threads} threads, {memory_bytes} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_resume_inside_windows_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    for codec in [Codec::Palette, Codec::Auto] {
+        let whole = folder.path().join(format!("{}-whole.cxl", codec.name()));
+        let dims = [70, 65, 50];
+        // The range grows: a bound that is relative to it must be the same after a resume.
+        let growing = |num_steps| {
+            let mut series = moving(dims, num_steps);
+            for (step, samples) in series.steps[0].iter_mut().enumerate() {
+                samples[0] = (1 + step * step) as f64;
+            }
+            series
+        };
+        let mut series = growing(10);
+        run(&mut series, &whole, &options(codec)).unwrap();
+        for broken_step in [3, 9] {
+            let path = folder.path().join(format!("{}-{broken_step}.cxl", codec.name()));
+            series.broken_step = Some(broken_step);
+            let error = run(&mut series, &path, &options(codec)).unwrap_err();
+            series.broken_step = None;
+            let kept = folder.path().join(format!("{}-{broken_step}.partial.cxl", codec.name()));
+            assert_eq!(kept.exists(), matches!(error, EncodeError::Interrupted { .. }), "{error}");
+            if kept.exists() {
+                let found = Store::open(&kept).unwrap().header().num_steps_finished as usize;
+                // Open windows, and those that share a row with one, lag behind by less than twice their length.
+                assert!(found + 8 > broken_step && found <= broken_step, "{found} of {broken_step}");
+            }
+            series.slices_read.fill(0);
+            run(&mut series, &path, &EncodeOptions { resume: true, ..options(codec) }).unwrap();
+            if broken_step > 4 {
+                assert!(series.slices_read[..broken_step - 4].iter().all(|&n| n == 0), "{:?}", series.slices_read);
+            }
+            assert!(files_of(&path) == files_of(&whole), "{codec:?}, broken at {broken_step}");
+            fs::remove_dir_all(&path).unwrap();
+        }
+    }
+}
+
+#[test]
+fn integers_are_lossless_at_a_bound_of_zero() {
+    let folder = tempfile::tempdir().unwrap();
+    for (sample_type, most) in
+        [(SampleType::U8, 255.0), (SampleType::U16, 65535.0), (SampleType::I16, 32767.0)]
+    {
+        let mut series = MemorySeries::of([33, 20, 17], sample_type, 9, |s, [x, y, z]| {
+            let moving = 0.5 + 0.5 * (0.2 * (x + y) as f64 + 0.1 * (z + s) as f64).sin();
+            if x > 20 {
+                (most * noise((x * 31 + y * 7 + z * 3 + s / 4) as u64)).floor()
+            } else {
+                (most * moving).floor()
+            }
+        });
+        let path = folder.path().join(format!("{sample_type}.cxl"));
+        let exact = EncodeOptions { max_error: Some(0.0), ..options(Codec::Auto) };
+        run(&mut series, &path, &exact).unwrap();
+        let store = assert_sound(&path);
+        for step in 0..9 {
+            assert!(
+                decode_step(&store, 0, step).unwrap() == series.steps[0][step],
+                "{sample_type}, step {step}"
+            );
+        }
+    }
+}
