@@ -6,7 +6,7 @@ use chronoxel_codec::{
     Indices, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident, decoded_range, product_palette,
 };
 use chronoxel_core::BrickLayout;
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{Criterion, Throughput};
 
 /// Numbers in [0, 1) of a linear congruence.
 fn random() -> impl FnMut() -> f32 {
@@ -85,5 +85,9 @@ fn decode(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(codec, encode, decode);
-criterion_main!(codec);
+fn main() {
+    let mut criterion = Criterion::default().configure_from_args();
+    encode(&mut criterion);
+    decode(&mut criterion);
+    criterion.final_summary();
+}

@@ -23,7 +23,7 @@ pub fn decode_f64(
         let first = at == 0;
         match (&row, &stage.indices) {
             (_, Indices::U8(_)) => {
-                let values = row.padded().map(|entry| row.offset() + row.scale() * f64::from(entry));
+                let values = row.padded().map(|entry| row.value(entry));
                 add(&mut samples, &stage.indices, first, |i| values[usize::from(i) % 256]);
             }
             (Entries::Affine { offset, scale }, _) => {
@@ -40,11 +40,10 @@ pub fn decode_f64(
 
 /// A brick at a step of its span, ready to be drawn: 16-bit samples.
 ///
-/// A single stage needs no rounding: its indices or entries are taken as they are. Several stages are summed as whole
-/// numbers of units of `w / 2^30`, `w` being the sum over the stages of the widths of their rows at the step, and rounded once
-/// within the range of the sums. A sample then differs from that of [`decode_f64`] by at most 0.52 of the brick's `scale`, plus
-/// one unit for each stage (at least the smallest normal number), plus rounding in `f64`: `4 * (stages + 1)` units in the last place of the
-/// sum of the largest magnitudes of the stages.
+/// A single stage needs no rounding: its indices or entries are taken as they are. Several stages are summed in fixed
+/// point and rounded once, within the sum of the ranges that the stages have at the step. A sample then differs from
+/// that of [`decode_f64`] by at most 0.501 of the brick's `scale` (which is at least the smallest normal number), plus
+/// rounding in `f64`: `4 * (stages + 1)` units in the last place of the sum of the largest magnitudes of the stages.
 ///
 /// # Errors
 /// As [`decode_f64`], and where the range of a sum of several stages might not be finite.
@@ -57,7 +56,7 @@ pub fn decode_resident(
     validate(payload, layout)?;
     let rows = rows_at(payload, step_in_span)?;
     let ([stage], [row]) = (payload.stages.as_slice(), rows.as_slice()) else {
-        let (samples, offset, scale) = FixedSums::of(payload, &rows)?.to_samples();
+        let FixedSums { samples, offset, scale, .. } = FixedSums::of(payload, &rows)?;
         return Ok(ResidentBrick { samples, offset, scale, mask });
     };
     let samples = match (row, &stage.indices) {
@@ -95,7 +94,7 @@ pub fn decoded_range(
                 Some(used) => row.extremes_of(used),
             };
             for entry in [low, high] {
-                include(row.offset() + row.scale() * f64::from(entry));
+                include(row.value(entry));
             }
         }
         return Ok(range);
@@ -105,15 +104,15 @@ pub fn decoded_range(
         let fixed = FixedSums::of(payload, &rows)?;
         // An exact sum lies within `slack` of a fixed one, so the exact extremes are among the samples whose fixed sums
         // lie within twice that of the fixed extremes.
-        let num_stages = rows.len() as f64;
-        let rounding = 4.0 * (num_stages + 1.0) * f64::EPSILON * fixed.magnitude / fixed.unit;
-        let slack = (2.0 * (num_stages + rounding) + 2.0) as i64;
-        let [low, high] = fixed.range().map(i64::from);
-        let inside = low.saturating_add(slack)..high.saturating_sub(slack);
-        for (at, &sum) in fixed.sums.iter().enumerate() {
-            let sum = i64::from(sum);
-            if sum <= inside.start || sum >= inside.end {
-                include(exact_sum(payload, &rows, at));
+        let rounding = 4.0 * (rows.len() + 1) as f64 * f64::EPSILON * fixed.magnitude / fixed.scale;
+        let slack = (2.0 * (0.501 + rounding)).ceil() as u16;
+        let low = fixed.samples.iter().fold(u16::MAX, |low, &sum| low.min(sum)).saturating_add(slack);
+        let high = fixed.samples.iter().fold(0, |high, &sum| high.max(sum)).saturating_sub(slack);
+        for (block, samples) in fixed.samples.chunks(64).enumerate() {
+            if samples.iter().fold(false, |any, &sum| any | (sum <= low) | (sum >= high)) {
+                let extreme = |&(_, &sum): &(usize, &u16)| sum <= low || sum >= high;
+                let extremes = samples.iter().enumerate().filter(extreme);
+                extremes.for_each(|(at, _)| include(exact_sum(payload, &rows, 64 * block + at)));
             }
         }
     }
@@ -164,7 +163,7 @@ fn exact_sum(payload: &Payload, rows: &[Entries<'_>], at: usize) -> f64 {
             Entries::Affine { .. } => index,
             Entries::Row { row, .. } => row[usize::from(index)],
         };
-        row.offset() + row.scale() * f64::from(entry)
+        row.value(entry)
     };
     rows.iter().zip(&payload.stages).map(value).reduce(|sum, value| sum + value).unwrap_or(0.0)
 }
@@ -223,11 +222,17 @@ impl<'a> Entries<'a> {
         }
     }
 
-    /// Bounds of the entries that the indices have.
+    /// The value of an entry.
+    pub fn value(&self, entry: u16) -> f64 {
+        self.offset() + self.scale() * f64::from(entry)
+    }
+
+    /// Bounds of the entries that the indices have: the extremes where the table is canonical.
     pub fn extremes(&self, indices: &Indices) -> [u16; 2] {
         match self {
             Self::Affine { .. } => [indices.smallest(), indices.largest()],
             Self::Row { row, .. } => {
+                let row = &row[..=usize::from(indices.largest())];
                 let low = row.iter().fold(u16::MAX, |low, &entry| low.min(entry));
                 [low, row.iter().fold(0, |high, &entry| high.max(entry))]
             }
