@@ -10,6 +10,7 @@ pub mod class;
 pub mod dct;
 pub mod decode;
 pub mod error;
+mod fixed;
 pub mod lloyd_max;
 pub mod palette;
 pub mod payload;
@@ -17,7 +18,7 @@ pub mod quantize;
 pub mod vq;
 pub mod window;
 
-pub use allocation::allocate_bits;
+pub use allocation::{allocate_bits, expected_distortion};
 pub use bytes::{stage_from_bytes, stage_to_bytes};
 pub use class::{PayloadClass, StageClass, TableClass};
 pub use dct::Dct;

@@ -6,21 +6,8 @@ use chronoxel_codec::{
 };
 use chronoxel_core::BrickLayout;
 
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
+mod random;
+use random::Random;
 
 fn layout() -> BrickLayout {
     BrickLayout::new(8).unwrap()
@@ -140,7 +127,9 @@ fn the_sum_of_stages_is_the_sum_of_their_table_entries() {
             let [low, high] = [f64::INFINITY, f64::NEG_INFINITY];
             let width =
                 decoded.iter().fold(high, |a, &b| a.max(b)) - decoded.iter().fold(low, |a, &b| a.min(b));
-            let bound = if stages.len() == 1 { 0.0 } else { width / 65535.0 / 2.0 + 1e-12 };
+            // Independent indices reach about the sum of the ranges of their rows.
+            assert!(stages.len() == 1 || brick.scale * 65535.0 <= 1.1 * width);
+            let bound = if stages.len() == 1 { 0.0 } else { 0.501 * brick.scale + 1e-12 };
             for (&sample, value) in brick.samples.iter().zip(&decoded) {
                 assert!((brick.offset + brick.scale * f64::from(sample) - value).abs() <= bound);
             }
