@@ -1,42 +1,96 @@
-//! Palettes within an error bound: samples put on a lattice so coarse that the bound only just holds, and the tables
-//! and indices that decode to its points.
+//! Palettes within an error bound: samples put on a fine lattice, and tables and indices that decode to a point so near
+//! to each of them that the bound just holds.
 //!
-//! The lattice of a window has points `offset + scale * p`, `p` from 0 to 65,535, `scale` being twice the bound. Every
-//! sample of every step becomes a point. What a span then holds is exact in points: one index per sample where the
-//! points do not change from step to step, else the distinct vectors of points over the steps as the entries of a
-//! table, or one static stage and the distinct vectors of what remains.
+//! The points of a [`Lattice`] are `offset + scale * p`, `p` a whole number and `2 * reach + 1` points as wide as twice
+//! the bound: a sample that lies at point `p` may be decoded to any of the points `p - reach ..= p + reach`. From there
+//! on everything is whole numbers. One index per sample serves several steps where the points of a sample stay within
+//! such a range; a table of vectors over the steps ([`Cover`]) serves where few boxes of that width hold all vectors.
 
 use crate::{Indices, SampleValue, Stage, Table};
 
-/// Points `offset + scale * p`, `p` from 0 to 65,535, of which one is within the bound of every sample of a range.
+/// Points `offset + scale * p`, `p` from 0 to 65,535, for samples within a range and a bound.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
     /// Value of point 0.
     pub offset: f64,
     /// Distance of two points, above 0.
     pub scale: f64,
+    /// How many points away from its own a sample may be decoded to.
+    pub reach: u16,
 }
 
 impl Lattice {
-    /// The coarsest lattice for samples in `[low, high]` and a bound; `None` where 65,536 points are too few, or
-    /// where `f64` cannot tell them apart well.
+    /// The lattice for samples in `[low, high]` and a bound; `None` where 65,536 points are too few, or where `f64`
+    /// cannot tell them apart well.
     ///
-    /// Whole numbers get whole points, `2 * floor(bound) + 1` apart, so that a bound below 1 loses nothing.
+    /// Whole numbers get whole points, so that a bound below 1 loses nothing.
     ///
     /// * `whole_numbers`: whether every sample is an integer below 2^53 in magnitude
     pub fn within([low, high]: [f64; 2], bound: f64, whole_numbers: bool) -> Option<Self> {
-        // A millionth less than twice the bound: room for the rounding of `offset + scale * p`.
+        // A millionth less than the bound: room for the rounding of `offset + scale * p`.
         const NEARLY: f64 = 1.0 - 1e-6;
-        let scale = if whole_numbers { 2.0 * bound.floor() + 1.0 } else { 2.0 * bound * NEARLY };
-        let largest = (high - low) / scale;
-        let precise = scale > 1e-9 * low.abs().max(high.abs()) || whole_numbers;
-        (scale >= f64::MIN_POSITIVE && largest <= 65534.0 && precise && (high - low).is_finite())
-            .then_some(Self { offset: low, scale })
+        let fits = |&reach: &u16| {
+            let scale = bound * NEARLY / (f64::from(reach) + 0.5);
+            let precise = scale > 1e-9 * low.abs().max(high.abs());
+            let enough = (high - low) / scale <= f64::from(u16::MAX - 2 * reach - 1);
+            (scale >= f64::MIN_POSITIVE && precise && enough).then_some(Self { offset: low, scale, reach })
+        };
+        if !(high - low).is_finite() {
+            return None;
+        }
+        let reach = bound.min(10_000.0) as u16;
+        if whole_numbers && high - low <= f64::from(u16::MAX - 2 * reach) {
+            return Some(Self { offset: low, scale: 1.0, reach });
+        }
+        // Points between whole numbers would not be exact.
+        if whole_numbers && bound < 1.0 {
+            return None;
+        }
+        [7, 3, 1, 0].iter().find_map(fits)
+    }
+
+    /// Points that are together as wide as twice the bound.
+    pub fn width(&self) -> u16 {
+        2 * self.reach + 1
     }
 
     /// The value of a point.
-    pub fn value(&self, point: f64) -> f64 {
-        self.offset + self.scale * point
+    pub fn value(&self, point: i32) -> f64 {
+        self.offset + self.scale * f64::from(point)
+    }
+
+    /// The same lattice moved by less than the width of a cell, so that the samples lie near the middles of cells: where
+    /// many have one value, it becomes the middle of a cell.
+    ///
+    /// * `samples`: some of those for which the lattice was made
+    pub fn moved_to<T: SampleValue>(self, samples: impl Iterator<Item = T>) -> Self {
+        let width = usize::from(self.width());
+        if width == 1 {
+            return self;
+        }
+        let mut counts = vec![0u64; width];
+        let per_scale = 1.0 / self.scale;
+        for x in samples {
+            counts[((x.into() - self.offset) * per_scale).round_ties_even() as usize % width] += 1;
+        }
+        let cost = |by: usize| -> u64 {
+            let squared =
+                |(at, count): (usize, &u64)| ((at + by) % width).abs_diff(width / 2).pow(2) as u64 * count;
+            counts.iter().enumerate().map(squared).sum()
+        };
+        // Where all are alike, the lowest sample is the middle of a cell.
+        let first = usize::from(self.reach);
+        let by = (0..width).map(|by| (by + first) % width).min_by_key(|&by| cost(by)).unwrap_or(0);
+        Self { offset: self.offset - self.scale * by as f64, ..self }
+    }
+
+    /// A point within reach of both ends of a range of points, the middle of a cell if possible: tables of such have
+    /// fewer distinct numbers.
+    pub fn point_for(&self, [low, high]: [i32; 2]) -> i32 {
+        let [width, reach] = [self.width(), self.reach].map(i32::from);
+        let [least, most] = [high - reach, low + reach];
+        let middle = (most - reach).div_euclid(width) * width + reach;
+        if middle >= least { middle } else { (least + most).div_euclid(2) }
     }
 
     /// The nearest point of each sample, all of them in the range for which the lattice was made.
@@ -47,16 +101,16 @@ impl Lattice {
         samples.iter().map(|&x| ((x.into() - self.offset) * per_scale + ROUND).to_bits() as u16).collect()
     }
 
-    /// A stage that decodes to the points at every step: 8-bit indices where they suffice, else 16-bit ones.
-    pub fn affine_stage(&self, points: &[u16]) -> Stage {
-        let low = points.iter().copied().min().unwrap_or(0);
-        let high = points.iter().copied().max().unwrap_or(0);
+    /// A stage that decodes to point `first + step * i` at index `i`: 8-bit indices where they suffice, else 16-bit ones.
+    pub fn affine_stage(&self, first: i32, step: u16, indices: &[u16]) -> Stage {
+        let low = indices.iter().copied().min().unwrap_or(0);
+        let high = indices.iter().copied().max().unwrap_or(0);
         let indices = match high - low {
-            0..=255 => Indices::U8(points.iter().map(|&p| (p - low) as u8).collect()),
-            _ => Indices::U16(points.iter().map(|&p| p - low).collect()),
+            0..=255 => Indices::U8(indices.iter().map(|&i| (i - low) as u8).collect()),
+            _ => Indices::U16(indices.iter().map(|&i| i - low).collect()),
         };
-        let table = Table::Affine { offset: self.value(low.into()), scale: self.scale };
-        Stage { indices, table, shift: 0 }
+        let offset = self.value(first + i32::from(step) * i32::from(low));
+        Stage { indices, table: Table::Affine { offset, scale: self.scale * f64::from(step) }, shift: 0 }
     }
 }
 
@@ -111,28 +165,156 @@ impl Vectors {
         Self::of_keys(keys, limit)
     }
 
+    /// The boxes that hold one vector each.
+    ///
+    /// * `steps`: for each step the number of every sample, those of one vector being alike
+    pub fn cover(self, steps: &[impl AsRef<[i32]>]) -> Cover {
+        let vector = |&first: &u32| {
+            let number = |step: &[i32]| step[first as usize];
+            steps.iter().map(|step| number(step.as_ref())).collect()
+        };
+        Cover { vectors: self.firsts.iter().map(vector).collect(), ids: self.ids }
+    }
+}
+
+/// Boxes of vectors of points over some steps: every sample has a box that holds its vector, no box being wider at any
+/// step than the lattice allows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cover {
+    /// For each sample the number of its box.
+    pub ids: Vec<u16>,
+    /// For each box one point within reach of all it holds, at each step.
+    pub vectors: Vec<Vec<i32>>,
+}
+
+/// A box while it grows.
+#[derive(Clone, Copy)]
+struct Box<const W: usize> {
+    low: [i32; W],
+    high: [i32; W],
+}
+
+impl<const W: usize> Box<W> {
+    #[inline(always)]
+    fn has_room_for(&self, vector: &[i32; W], width: i32) -> bool {
+        let mut fits = true;
+        for t in 0..W {
+            fits &= self.high[t].max(vector[t]) - self.low[t].min(vector[t]) < width;
+        }
+        fits
+    }
+
+    fn take(&mut self, vector: &[i32; W]) {
+        for t in 0..W {
+            self.low[t] = self.low[t].min(vector[t]);
+            self.high[t] = self.high[t].max(vector[t]);
+        }
+    }
+}
+
+/// Boxes in the middle of which lies a vector that many samples have: what is still stays as it is.
+fn seeds<const W: usize>(steps: &[Vec<i32>], reach: u16) -> Vec<Box<W>> {
+    const SAMPLED: usize = 13;
+    const MOST: usize = 16;
+    let mut vectors: Vec<[i32; W]> =
+        (0..steps[0].len()).step_by(SAMPLED).map(|at| vector_at(steps, at)).collect();
+    vectors.sort_unstable();
+    let mut runs: Vec<(usize, [i32; W])> =
+        vectors.chunk_by(|a, b| a == b).map(|run| (run.len(), run[0])).collect();
+    runs.retain(|(count, _)| 100 * count >= vectors.len());
+    runs.sort_unstable_by_key(|&(count, vector)| (std::cmp::Reverse(count), vector));
+    let reach = i32::from(reach);
+    let around = |(_, v): (usize, [i32; W])| Box { low: v.map(|p| p - reach), high: v.map(|p| p + reach) };
+    runs.into_iter().take(MOST).map(around).collect()
+}
+
+/// The vector of a sample; steps beyond the last are zero.
+#[inline(always)]
+fn vector_at<const W: usize>(steps: &[Vec<i32>], at: usize) -> [i32; W] {
+    let mut vector = [0; W];
+    vector.iter_mut().zip(steps).for_each(|(v, step)| *v = step[at]);
+    vector
+}
+
+impl Cover {
+    /// Boxes for the vectors of all samples, in one pass; `None` where more than `limit` boxes would be needed.
+    ///
+    /// A sample prefers the boxes of its neighbours before it along x, y and z, since runs of one index are stored in
+    /// few bytes; else it takes the first with room, else a new one.
+    ///
+    /// * `steps`: the points of every sample, for each of 1 to 16 steps
+    /// * `edge`: samples along an edge of the brick
+    pub fn of_steps(steps: &[Vec<i32>], edge: usize, lattice: &Lattice, limit: usize) -> Option<Self> {
+        match steps.len() {
+            1 => Self::grow::<1>(steps, edge, lattice, limit),
+            2 => Self::grow::<2>(steps, edge, lattice, limit),
+            3..=4 => Self::grow::<4>(steps, edge, lattice, limit),
+            5..=8 => Self::grow::<8>(steps, edge, lattice, limit),
+            9..=16 => Self::grow::<16>(steps, edge, lattice, limit),
+            _ => None,
+        }
+    }
+
+    fn grow<const W: usize>(
+        steps: &[Vec<i32>],
+        edge: usize,
+        lattice: &Lattice,
+        limit: usize,
+    ) -> Option<Self> {
+        let num_samples = steps[0].len();
+        let width = i32::from(lattice.width());
+        let mut ids: Vec<u16> = Vec::with_capacity(num_samples);
+        let mut boxes: Vec<Box<W>> = seeds(steps, lattice.reach);
+        for at in 0..num_samples {
+            let vector = vector_at(steps, at);
+            let before = [1, edge, edge * edge].into_iter().filter_map(|back| at.checked_sub(back));
+            let near = before.map(|at| ids[at]).find(|&id| boxes[id as usize].has_room_for(&vector, width));
+            let id = near
+                .or_else(|| boxes.iter().position(|b| b.has_room_for(&vector, width)).map(|id| id as u16));
+            match id {
+                Some(id) => {
+                    boxes[id as usize].take(&vector);
+                    ids.push(id);
+                }
+                None if boxes.len() == limit => return None,
+                None => {
+                    ids.push(boxes.len() as u16);
+                    boxes.push(Box { low: vector, high: vector });
+                }
+            }
+        }
+        let vector =
+            |b: &Box<W>| (0..steps.len()).map(|t| lattice.point_for([b.low[t], b.high[t]])).collect();
+        Some(Self { ids, vectors: boxes.iter().map(vector).collect() })
+    }
+
     /// The stage with a listed table of the vectors.
     ///
-    /// * `lattice`: what the table's numbers mean
-    /// * `num_rows`: rows of the table, at least the number of `steps`; those beyond are zero
-    /// * `steps`: for each step the number of every sample, those of one vector being alike
-    ///
     /// The table has 256 entries where they suffice, else 1,024.
-    pub fn listed_stage(&self, lattice: &Lattice, steps: &[impl AsRef<[i32]>], num_rows: usize) -> Stage {
-        let num_entries = if self.firsts.len() <= 256 { 256 } else { 1024 };
-        let number = |step: &[i32], first: u32| step[first as usize];
-        let all = || steps.iter().flat_map(|step| self.firsts.iter().map(|&f| number(step.as_ref(), f)));
-        let low = all().min().unwrap_or(0);
+    ///
+    /// * `num_rows`: rows of the table, at least the number of steps; those beyond are zero
+    pub fn listed_stage(&self, lattice: &Lattice, num_rows: usize) -> Stage {
+        let num_entries = if self.vectors.len() <= 256 { 256 } else { 1024 };
+        let width = i32::from(lattice.width());
+        let points = &self.vectors;
+        let low = points.iter().flatten().copied().min().unwrap_or(0);
+        let unit = if points.iter().flatten().all(|p| (p - low) % width == 0) { width } else { 1 };
         let mut entries = vec![0u16; num_rows * num_entries];
-        for (row, step) in entries.chunks_exact_mut(num_entries).zip(steps) {
-            let numbers = self.firsts.iter().map(|&f| (number(step.as_ref(), f) - low) as u16);
-            row.iter_mut().zip(numbers).for_each(|(entry, number)| *entry = number);
+        for (entry, vector) in points.iter().enumerate() {
+            for (row, &p) in vector.iter().enumerate() {
+                entries[row * num_entries + entry] = ((p - low) / unit) as u16;
+            }
         }
         let indices = match num_entries {
             256 => Indices::U8(self.ids.iter().map(|&id| id as u8).collect()),
             _ => Indices::U16(self.ids.clone()),
         };
-        let offset = lattice.value(low.into());
-        Stage { indices, table: Table::Listed { offset, scale: lattice.scale, num_rows, entries }, shift: 0 }
+        let table = Table::Listed {
+            offset: lattice.value(low),
+            scale: lattice.scale * f64::from(unit),
+            num_rows,
+            entries,
+        };
+        Stage { indices, table, shift: 0 }
     }
 }

@@ -6,7 +6,7 @@
 //! [`chronoxel_codec::bounded`]), or as one static stage and a table of what remains. Every payload that is taken was
 //! decoded and compared sample by sample.
 
-use chronoxel_codec::bounded::{Lattice, Vectors};
+use chronoxel_codec::bounded::{Cover, Lattice, Vectors};
 use chronoxel_codec::{
     Payload, PayloadClass, SampleValue, Stage, StageClass, TableClass, decode_f64, decoded_range,
     quantize_affine, stage_to_bytes,
@@ -19,6 +19,9 @@ use super::real::Real;
 
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
 const RECORD_BYTES: usize = 40;
+
+/// Of so many samples one is looked at where a share of them will do; prime to the edges of bricks.
+const SAMPLED: usize = 13;
 
 /// One node over one window of time, ready to be coded.
 #[derive(Debug, Clone)]
@@ -104,25 +107,25 @@ struct Search<'a, T> {
 }
 
 /// What is best for the steps in a run of places.
-struct Found<T> {
+struct Found {
     pieces: Vec<Piece>,
     bytes: usize,
-    run: Run<T>,
+    run: Run,
 }
 
 /// What is known of a run of steps.
-struct Run<T> {
+struct Run {
     start: usize,
     len: usize,
     /// Range over steps and samples.
     range: [f64; 2],
-    /// Largest difference of two samples at the same place in the brick.
-    variation: f64,
-    /// Smallest and largest sample over the steps, at each place in the brick; empty once `variation` is too large.
-    low: Vec<T>,
-    high: Vec<T>,
-    /// The distinct vectors of points, where they are few.
+    /// Lowest and highest point over the steps, for each sample; empty where there is no lattice.
+    low: Vec<u16>,
+    high: Vec<u16>,
+    /// The distinct vectors of cells, where they are few.
     vectors: Option<Vectors>,
+    /// Whether few boxes hold the vectors of all samples, as far as is known.
+    has_cover: bool,
 }
 
 /// A payload and its price.
@@ -143,13 +146,16 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         let [low, high] = ranges.fold([f64::INFINITY, f64::NEG_INFINITY], |r, (low, high)| {
             [r[0].min(low.to_f64()), r[1].max(high.to_f64())]
         });
-        let lattice = Lattice::within([low, high], bound, node.whole_numbers)
-            .map(|lattice| (lattice, node.steps.iter().map(|step| lattice.points(step)).collect()));
+        let lattice = Lattice::within([low, high], bound, node.whole_numbers).map(|lattice| {
+            let lattice =
+                lattice.moved_to(node.steps.iter().flat_map(|s| s.iter().step_by(SAMPLED).copied()));
+            (lattice, node.steps.iter().map(|step| lattice.points(step)).collect())
+        });
         Self { node, bound, is_binding, layout, stored_len, lattice }
     }
 
     /// The best for places `place .. place + window`; `None` where no step is there.
-    fn best(&self, place: usize, window: u32) -> Result<Option<Found<T>>, Refusal> {
+    fn best(&self, place: usize, window: u32) -> Result<Option<Found>, Refusal> {
         if window == 1 {
             let exists = place >= self.node.lead && place - self.node.lead < self.node.steps.len();
             return exists.then(|| self.single(place - self.node.lead)).transpose();
@@ -160,35 +166,34 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
             // One half alone is no worse off in a shorter window.
             (one, other) => return Ok(one.or(other)),
         };
-        let run = self.join(&a.run, &b.run);
+        let mut run = self.join(&a.run, &b.run);
         let bytes = a.bytes + b.bytes;
-        let joined = if self.may_join(&a.run, &b.run) { self.joined(&run, window, bytes)? } else { None };
+        let joined = if self.may_join(&a.run, &b.run) { self.joined(&mut run, window, bytes)? } else { None };
         Ok(Some(match joined {
             Some((piece, bytes)) => Found { pieces: vec![piece], bytes, run },
             None => Found { pieces: [a.pieces, b.pieces].concat(), bytes, run },
         }))
     }
 
-    fn single(&self, at: usize) -> Result<Found<T>, Refusal> {
-        let step = self.node.steps[at];
-        let (low, high) = range_of(step);
-        let vectors = self
-            .lattice
-            .as_ref()
-            .filter(|_| self.node.window > 1)
-            .and_then(|(_, points)| Vectors::of_keys(points[at].iter().map(|&p| u64::from(p)), 1024));
+    fn single(&self, at: usize) -> Result<Found, Refusal> {
+        let (low, high) = range_of(self.node.steps[at]);
+        let points = self.lattice.as_ref().map_or(&[][..], |(_, points)| &points[at]);
+        let vectors = self.lattice.as_ref().filter(|_| self.node.window > 1).and_then(|(lattice, points)| {
+            let width = lattice.width();
+            Vectors::of_keys(points[at].iter().map(|&p| u64::from(p / width)), 1024)
+        });
         let run = Run {
             start: at,
             len: 1,
             range: [low.to_f64(), high.to_f64()],
-            variation: 0.0,
-            low: step.to_vec(),
-            high: step.to_vec(),
+            low: points.to_vec(),
+            high: points.to_vec(),
             vectors,
+            has_cover: true,
         };
         let candidate = match self.constant(&run) {
             Some(constant) => constant,
-            None => match self.on_lattice(&run)? {
+            None => match self.fixed(&run)? {
                 Some(candidate) => candidate,
                 None => self.affine_within_range(at)?,
             },
@@ -198,35 +203,27 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
     }
 
     /// Whether two runs may share a span: all their masks are alike.
-    fn may_join(&self, a: &Run<T>, b: &Run<T>) -> bool {
+    fn may_join(&self, a: &Run, b: &Run) -> bool {
         let masks = &self.node.masks[a.start..b.start + b.len];
         masks.iter().all(|mask| *mask == masks[0])
     }
 
-    fn join(&self, a: &Run<T>, b: &Run<T>) -> Run<T> {
-        let mut run = Run {
+    fn join(&self, a: &Run, b: &Run) -> Run {
+        let smaller = |(&a, &b): (&u16, &u16)| a.min(b);
+        let larger = |(&a, &b): (&u16, &u16)| a.max(b);
+        Run {
             start: a.start,
             len: a.len + b.len,
             range: [a.range[0].min(b.range[0]), a.range[1].max(b.range[1])],
-            variation: f64::INFINITY,
-            low: Vec::new(),
-            high: Vec::new(),
-            vectors: None,
-        };
-        if a.variation <= 2.0 * self.bound && b.variation <= 2.0 * self.bound {
-            run.low = a.low.iter().zip(&b.low).map(|(&a, &b)| if b < a { b } else { a }).collect();
-            run.high = a.high.iter().zip(&b.high).map(|(&a, &b)| if b > a { b } else { a }).collect();
-            let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high.minus(low));
-            run.variation = variation.fold(T::from_f64(0.0), |m, v| if v > m { v } else { m }).to_f64();
+            low: a.low.iter().zip(&b.low).map(smaller).collect(),
+            high: a.high.iter().zip(&b.high).map(larger).collect(),
+            vectors: a.vectors.as_ref().zip(b.vectors.as_ref()).and_then(|(a, b)| a.joined(b, 1024)),
+            has_cover: a.has_cover && b.has_cover,
         }
-        if let (Some(a), Some(b)) = (&a.vectors, &b.vectors) {
-            run.vectors = a.joined(b, 1024);
-        }
-        run
     }
 
     /// One piece for a run of several steps, if that takes fewer bytes than `bytes`.
-    fn joined(&self, run: &Run<T>, window: u32, bytes: usize) -> Result<Option<(Piece, usize)>, Refusal> {
+    fn joined(&self, run: &mut Run, window: u32, bytes: usize) -> Result<Option<(Piece, usize)>, Refusal> {
         let mut best: Option<Candidate> = None;
         let mut take = |candidate: Option<Candidate>| {
             if let Some(new) = candidate
@@ -240,23 +237,29 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
             None => {
                 take(self.fixed(run)?);
                 take(self.vector_table(run, window)?);
+                take(self.box_table(run, window)?);
                 take(self.fixed_and_table(run, window)?);
             }
         }
         best.map(|best| Ok((self.piece(run, window, best.choice)?, best.bytes))).transpose()
     }
 
-    fn constant(&self, run: &Run<T>) -> Option<Candidate> {
+    fn constant(&self, run: &Run) -> Option<Candidate> {
         let [low, high] = run.range;
-        let value = if low == high { low } else { 0.5 * low + 0.5 * high };
-        (value - low <= self.bound && high - value <= self.bound)
-            .then_some(Candidate { choice: Choice::Constant(value), bytes: RECORD_BYTES })
-    }
-
-    /// One step on the lattice of all steps.
-    fn on_lattice(&self, run: &Run<T>) -> Result<Option<Candidate>, Refusal> {
-        let Some((lattice, points)) = &self.lattice else { return Ok(None) };
-        self.checked(run, vec![lattice.affine_stage(&points[run.start])])
+        let holds = |value: &f64| value - low <= self.bound && high - value <= self.bound;
+        let ends = |(lattice, _): &(Lattice, _)| {
+            let ends = run.low.iter().min().zip(run.high.iter().max())?;
+            Some(lattice.value(lattice.point_for([ends.0, ends.1].map(|&p| p.into()))))
+        };
+        // Where there is a choice, what the lattice has in the middle of a cell.
+        let value = match low == high {
+            true => Some(low),
+            false => {
+                let middle = Some(0.5 * low + 0.5 * high).filter(holds);
+                middle.and_then(|_| self.lattice.as_ref().and_then(ends).filter(holds)).or(middle)
+            }
+        };
+        Some(Candidate { choice: Choice::Constant(value?), bytes: RECORD_BYTES })
     }
 
     /// One step with 16 bits of its own range.
@@ -274,46 +277,79 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
     }
 
     /// One index per sample that serves all steps.
-    fn fixed(&self, run: &Run<T>) -> Result<Option<Candidate>, Refusal> {
-        if run.variation > 2.0 * self.bound {
+    fn fixed(&self, run: &Run) -> Result<Option<Candidate>, Refusal> {
+        let Some((lattice, _)) = &self.lattice else { return Ok(None) };
+        let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high - low).max().unwrap_or(0);
+        if variation >= lattice.width() {
             return Ok(None);
         }
-        let middle: Vec<f64> =
-            run.low.iter().zip(&run.high).map(|(l, h)| 0.5 * l.to_f64() + 0.5 * h.to_f64()).collect();
-        let room = self.bound - 0.5 * run.variation;
-        let whole = self.node.whole_numbers && run.variation == 0.0;
-        let Some(lattice) = Lattice::within(run.range, room, whole) else {
-            return Ok(None);
-        };
-        self.checked(run, vec![lattice.affine_stage(&lattice.points(&middle))])
+        let step = lattice.width() - variation;
+        let [reach, step_wide] = [lattice.reach, step].map(i32::from);
+        let mut last = 0u16;
+        let indices: Vec<u16> = run
+            .low
+            .iter()
+            .zip(&run.high)
+            .map(|(&low, &high)| {
+                let [least, most] = [i32::from(high) - reach, i32::from(low) + reach];
+                let kept = i32::from(last) * step_wide + reach;
+                if kept < least || kept > most {
+                    // The range has `step` points or more.
+                    last = ((most - reach) / step_wide) as u16;
+                }
+                last
+            })
+            .collect();
+        self.checked(run, vec![lattice.affine_stage(reach, step, &indices)])
     }
 
-    /// A table of the distinct vectors of points.
-    fn vector_table(&self, run: &Run<T>, window: u32) -> Result<Option<Candidate>, Refusal> {
-        let (Some((lattice, points)), Some(vectors)) = (&self.lattice, &run.vectors) else { return Ok(None) };
+    /// A table of the distinct vectors of cells.
+    fn vector_table(&self, run: &mut Run, window: u32) -> Result<Option<Candidate>, Refusal> {
+        let (Some((lattice, _)), Some(vectors)) = (&self.lattice, run.vectors.clone()) else {
+            return Ok(None);
+        };
+        let cover = vectors.cover(&self.centres(lattice, run));
+        self.checked(run, vec![cover.listed_stage(lattice, window as usize)])
+    }
+
+    /// A table of one vector of points for each of a few boxes that hold the vectors of all samples.
+    fn box_table(&self, run: &mut Run, window: u32) -> Result<Option<Candidate>, Refusal> {
+        let Some((lattice, points)) = &self.lattice else { return Ok(None) };
+        if !run.has_cover || window < 4 || lattice.reach == 0 {
+            return Ok(None);
+        }
         let steps: Vec<Vec<i32>> = points[run.start..run.start + run.len]
             .iter()
             .map(|points| points.iter().map(|&p| i32::from(p)).collect())
             .collect();
-        self.checked(run, vec![vectors.listed_stage(lattice, &steps, window as usize)])
+        let Some(cover) = Cover::of_steps(&steps, self.layout.full_edge(), lattice, 1024) else {
+            run.has_cover = false;
+            return Ok(None);
+        };
+        self.checked(run, vec![cover.listed_stage(lattice, window as usize)])
+    }
+
+    /// For each step of a run the middle of the cell of each sample.
+    fn centres(&self, lattice: &Lattice, run: &Run) -> Vec<Vec<i32>> {
+        let [width, reach] = [lattice.width(), lattice.reach];
+        let centre = |&p: &u16| i32::from(p / width * width + reach);
+        let points = self.lattice.iter().flat_map(|(_, points)| &points[run.start..run.start + run.len]);
+        points.map(|step| step.iter().map(centre).collect()).collect()
     }
 
     /// A static stage of the middle over the steps, and a table of what remains.
-    fn fixed_and_table(&self, run: &Run<T>, window: u32) -> Result<Option<Candidate>, Refusal> {
-        let Some((lattice, points)) = &self.lattice else { return Ok(None) };
-        let points = &points[run.start..run.start + run.len];
-        let mut low = points[0].clone();
-        let mut high = points[0].clone();
-        for step in &points[1..] {
-            low.iter_mut().zip(step).for_each(|(low, &p)| *low = (*low).min(p));
-            high.iter_mut().zip(step).for_each(|(high, &p)| *high = (*high).max(p));
-        }
-        let middle: Vec<u16> = low.iter().zip(&high).map(|(&low, &high)| low + (high - low) / 2).collect();
-        let rest: Vec<Vec<i32>> = points
+    fn fixed_and_table(&self, run: &Run, window: u32) -> Result<Option<Candidate>, Refusal> {
+        let Some((lattice, _)) = &self.lattice else { return Ok(None) };
+        let width = lattice.width();
+        let cells: Vec<u16> =
+            run.low.iter().zip(&run.high).map(|(&low, &high)| (low / width + high / width) / 2).collect();
+        let middle = |cell: u16| i32::from(cell * width + lattice.reach);
+        let rest: Vec<Vec<i32>> = self
+            .centres(lattice, run)
             .iter()
-            .map(|step| step.iter().zip(&middle).map(|(&p, &m)| i32::from(p) - i32::from(m)).collect())
+            .map(|step| step.iter().zip(&cells).map(|(&p, &cell)| p - middle(cell)).collect())
             .collect();
-        let mut keys = vec![0u64; middle.len()];
+        let mut keys = vec![0u64; cells.len()];
         for step in &rest {
             keys.iter_mut().zip(step).for_each(|(key, &r)| {
                 *key = (key.rotate_left(23) ^ r as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -321,12 +357,12 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         }
         let Some(vectors) = Vectors::of_keys(keys.into_iter(), 1024) else { return Ok(None) };
         let around_zero = Lattice { offset: 0.0, ..*lattice };
-        let table = vectors.listed_stage(&around_zero, &rest, window as usize);
-        self.checked(run, vec![lattice.affine_stage(&middle), table])
+        let table = vectors.cover(&rest).listed_stage(&around_zero, window as usize);
+        self.checked(run, vec![lattice.affine_stage(i32::from(lattice.reach), width, &cells), table])
     }
 
     /// The candidate of these stages, if it holds the bound.
-    fn checked(&self, run: &Run<T>, stages: Vec<Stage>) -> Result<Option<Candidate>, Refusal> {
+    fn checked(&self, run: &Run, stages: Vec<Stage>) -> Result<Option<Candidate>, Refusal> {
         let stages: Result<Vec<Stage>, _> =
             stages.into_iter().map(|stage| stage.into_canonical(self.layout)).collect();
         let payload = Payload { stages: stages.map_err(Refusal::Codec)? };
@@ -358,7 +394,7 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         Ok(largest)
     }
 
-    fn piece(&self, run: &Run<T>, window: u32, content: Choice) -> Result<Piece, Refusal> {
+    fn piece(&self, run: &Run, window: u32, content: Choice) -> Result<Piece, Refusal> {
         let drawn_range = match &content {
             Choice::Empty => [f64::NAN; 2],
             Choice::Constant(value) => [*value; 2],
