@@ -18,5 +18,5 @@ pub use decode::{decode_f64, decode_resident, decoded_range};
 pub use error::CodecError;
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
-pub use vq::vector_palette;
+pub use vq::{VectorTable, vector_palette};
 pub use window::{Palette, UnitWindow};
