@@ -28,5 +28,5 @@ pub use lloyd_max::LloydMax;
 pub use palette::{ProductQuantizer, product_palette};
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
-pub use vq::vector_palette;
+pub use vq::{VectorTable, vector_palette};
 pub use window::{Palette, UnitWindow};

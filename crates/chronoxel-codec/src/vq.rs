@@ -22,6 +22,11 @@ const FULL_ROUNDS: usize = 1;
 /// Training stops when a round gains less than this fraction of the cost.
 const LEAST_GAIN: f64 = 2e-3;
 
+/// Entries lose low bits as long as that adds less than this fraction to the squared error.
+const ROUNDING_LOSS: f64 = 0.01;
+/// Rounds on the vectors that are trained on, where indices have a price.
+const PRICED_ROUNDS: usize = 4;
+
 /// The palette of least squared error that splitting and Lloyd's iteration find.
 ///
 /// Exact where the trained samples have no more than `num_entries` distinct time series. The same window gives the same
@@ -29,26 +34,121 @@ const LEAST_GAIN: f64 = 2e-3;
 ///
 /// * `num_entries`: 1 to 65,536; with up to 256 the indices have 8 bits
 pub fn vector_palette(window: &UnitWindow, num_entries: usize) -> Palette {
-    let num_entries = num_entries.clamp(1, 1 << 16);
-    let num_steps = window.num_steps;
-    let all = Vectors { values: &window.values, len: window.num_samples() };
-    let core = gather(window, 1);
-    let core = Vectors { values: &core, len: window.trained.len() };
-    let mut entries = match distinct_series(window, num_entries) {
-        Some(values) => Entries { prices: vec![0.0; values.len() / num_steps], values },
-        None => {
-            let stride = (core.len / (TRAINED_PER_ENTRY * num_entries)).max(1);
-            let mut entries = train(window, stride, num_entries);
-            for _ in 0..FULL_ROUNDS {
-                refine(core, &mut entries);
-            }
-            entries
+    VectorTable::train(window, num_entries).palette()
+}
+
+/// A table trained on a window: what palettes of several prices of a bit are made from.
+#[derive(Debug, Clone)]
+pub struct VectorTable<'a> {
+    window: &'a UnitWindow,
+    /// All trained samples, `[t, vector]`.
+    core: Vec<f32>,
+    /// Those that most rounds look at, `[t, vector]`.
+    chosen: Vec<f32>,
+    entries: Entries,
+    /// Mean squared error of a vector, in the last round on the chosen ones.
+    mean_cost: f64,
+    /// Whether every trained sample is an entry.
+    exact: bool,
+}
+
+impl<'a> VectorTable<'a> {
+    /// Trains a table of up to `num_entries` entries, 1 to 65,536, on a few thousand of the trained samples.
+    pub fn train(window: &'a UnitWindow, num_entries: usize) -> Self {
+        let num_entries = num_entries.clamp(1, 1 << 16);
+        let core = gather(window, 1);
+        let stride = (window.trained.len() / (TRAINED_PER_ENTRY * num_entries)).max(1);
+        let chosen = gather(window, stride);
+        let mut table = Self {
+            window,
+            core,
+            chosen,
+            entries: Entries { values: Vec::new(), prices: Vec::new() },
+            mean_cost: 0.0,
+            exact: false,
+        };
+        if let Some(values) = distinct_series(window, num_entries) {
+            table.entries = Entries { prices: vec![0.0; values.len() / window.num_steps], values };
+            table.exact = true;
+        } else {
+            (table.entries, table.mean_cost) = train(table.vectors(&table.chosen), num_entries);
         }
-    };
-    let found = nearest(all, &entries);
-    let chosen: Vec<u16> = window.trained.iter().map(|&i| found.indices[i as usize]).collect();
-    set_to_means(core, &chosen, &mut entries);
-    palette(num_steps, found.indices, &entries)
+        table
+    }
+
+    /// The slope of the table, in squared error per bit: where one bit more or less for each vector would change
+    /// the squared error as much as theory has it at high rate, `2 ln 2 / N` of it.
+    ///
+    /// Below it prices of a bit change little; above it entries fall away.
+    pub fn slope(&self) -> f64 {
+        2.0 * std::f64::consts::LN_2 / self.window.num_steps as f64 * self.mean_cost
+    }
+
+    /// The palette of least squared error.
+    pub fn palette(&self) -> Palette {
+        let mut entries = self.entries.clone();
+        if !self.exact {
+            for _ in 0..FULL_ROUNDS {
+                refine(self.vectors(&self.core), &mut entries);
+            }
+        }
+        self.assign(entries)
+    }
+
+    /// The palette of least squared error plus `slope` times the bits of its indices, these having the length of an ideal
+    /// code for how often each is used (entropy-constrained vector quantisation: Chou, Lookabaugh and Gray 1989).
+    ///
+    /// The table goes on from what it was: ask for slopes from small to large.
+    ///
+    /// * `slope`: squared error in the units of the window, per bit; at least 0
+    pub fn priced_palette(&mut self, slope: f64) -> Palette {
+        let vectors = Vectors { values: &self.chosen, len: self.chosen.len() / self.window.num_steps };
+        for _ in 0..PRICED_ROUNDS {
+            refine_priced(vectors, &mut self.entries, slope);
+        }
+        let mut entries = self.entries.clone();
+        refine_priced(self.vectors(&self.core), &mut entries, slope);
+        self.assign(entries)
+    }
+
+    /// Gives every sample of the brick its entry, and each entry the mean of its trained samples.
+    fn assign(&self, mut entries: Entries) -> Palette {
+        let (window, core) = (self.window, self.vectors(&self.core));
+        let shift = if self.exact { 0 } else { self.spare_bits() };
+        round_entries(&mut entries.values, shift);
+        let found = nearest(Vectors { values: &window.values, len: window.num_samples() }, &entries);
+        let indices: Vec<u16> = window.trained.iter().map(|&i| found.indices[i as usize]).collect();
+        set_to_means(core, &indices, &mut entries);
+        round_entries(&mut entries.values, shift);
+        palette(window.num_steps, found.indices, &entries)
+    }
+
+    /// Low bits of the entries that add little to the squared error when they are dropped.
+    fn spare_bits(&self) -> u32 {
+        let noise = self.mean_cost / self.window.num_steps as f64 * ROUNDING_LOSS * 12.0;
+        (1..=MOST_SPARE_BITS).rev().find(|&bits| unit_of_entry(bits).powi(2) <= noise).unwrap_or(0)
+    }
+
+    fn vectors<'b>(&self, values: &'b [f32]) -> Vectors<'b> {
+        Vectors { values, len: values.len() / self.window.num_steps }
+    }
+}
+
+/// Most low bits that entries may lose.
+const MOST_SPARE_BITS: u32 = 10;
+
+/// Distance of two neighbouring entries whose low `bits` bits are zero.
+fn unit_of_entry(bits: u32) -> f64 {
+    f64::from(1u32 << bits) / 65535.0
+}
+
+/// Rounds values to entries whose low `bits` bits are zero, so that they compress.
+fn round_entries(values: &mut [f32], bits: u32) {
+    if bits > 0 {
+        let unit = unit_of_entry(bits) as f32;
+        let largest = ((1u32 << (16 - bits)) - 1) as f32;
+        values.iter_mut().for_each(|v| *v = (*v / unit).round_ties_even().clamp(0.0, largest) * unit);
+    }
 }
 
 fn palette(num_steps: usize, indices: Vec<u16>, entries: &Entries) -> Palette {
@@ -101,13 +201,11 @@ fn distinct_series(window: &UnitWindow, num_entries: usize) -> Option<Vec<f32>> 
     Some(entries)
 }
 
-/// Entries trained on every `stride`-th of the trained samples.
-fn train(window: &UnitWindow, stride: usize, num_entries: usize) -> Entries {
-    let num_steps = window.num_steps;
-    let values = gather(window, stride);
-    let vectors = Vectors { values: &values, len: values.len() / num_steps };
-    let mut by_vector = vec![0.0; values.len()];
-    for (t, component) in values.chunks_exact(vectors.len).enumerate() {
+/// Entries trained on the vectors, and the mean cost of a vector in the last round.
+fn train(vectors: Vectors, num_entries: usize) -> (Entries, f64) {
+    let num_steps = vectors.num_steps();
+    let mut by_vector = vec![0.0; vectors.values.len()];
+    for (t, component) in vectors.values.chunks_exact(vectors.len).enumerate() {
         component.iter().enumerate().for_each(|(i, &x)| by_vector[i * num_steps + t] = x);
     }
     let mut first = split::split(&mut by_vector, num_steps, num_entries);
@@ -119,12 +217,28 @@ fn train(window: &UnitWindow, stride: usize, num_entries: usize) -> Entries {
     let mut last_cost = f64::INFINITY;
     for _ in 0..TRAINING_ROUNDS {
         let cost = refine(vectors, &mut entries);
-        if cost >= last_cost * (1.0 - LEAST_GAIN) {
+        let stalled = cost >= last_cost * (1.0 - LEAST_GAIN);
+        last_cost = cost;
+        if stalled {
             break;
         }
-        last_cost = cost;
     }
-    entries
+    (entries, last_cost / vectors.len as f64)
+}
+
+/// One round of Lloyd's iteration with a price for each bit; entries without vectors are dropped.
+fn refine_priced(vectors: Vectors, entries: &mut Entries, slope: f64) {
+    let found = nearest(vectors, entries);
+    let counts = set_to_means(vectors, &found.indices, entries);
+    let used = counts.iter().map(|&count| count > 0);
+    let num_steps = vectors.num_steps();
+    let mut values = Vec::with_capacity(entries.values.len());
+    entries.values.chunks_exact(num_steps).zip(used).filter(|(_, used)| *used).for_each(|(entry, _)| {
+        values.extend_from_slice(entry);
+    });
+    let price = |count: u32| (slope * libm::log2(vectors.len as f64 / f64::from(count))) as f32;
+    let prices = counts.iter().filter(|&&count| count > 0).map(|&count| price(count)).collect();
+    *entries = Entries { values, prices };
 }
 
 /// One round of Lloyd's iteration; entries without vectors move to the vectors of largest cost. Returns the cost before.
