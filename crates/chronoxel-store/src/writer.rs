@@ -38,6 +38,8 @@ pub struct StoreWriter {
     pub(crate) description_crc: u32,
     /// Steps committed, or below the one that a resume starts with.
     pub(crate) num_steps_put: u32,
+    /// What the last state of the journal holds. A resume starts before: what it reads again is committed already.
+    pub(crate) num_steps_committed: u32,
     /// `[variable][level][node]`: the step up to which spans were put.
     pub(crate) covered: Vec<Vec<Vec<u32>>>,
     /// In the order of `Header::each_window`.
@@ -114,6 +116,7 @@ impl StoreWriter {
             header,
             description_crc,
             num_steps_put: 0,
+            num_steps_committed: 0,
             covered,
             windows,
             digests: DigestTable::new(MAX_DIGESTS),
@@ -183,7 +186,8 @@ impl StoreWriter {
             let remedy = format!("steps {} to {} are left", self.num_steps_put, num_steps - 1);
             return Err(StoreError::invalid("step to commit", step, remedy));
         }
-        if num_put % self.header.steps_per_shard == 0 || num_put == num_steps {
+        let is_due = num_put % self.header.steps_per_shard == 0 || num_put == num_steps;
+        if is_due && num_put > self.num_steps_committed {
             self.begin()?;
             self.commit(num_put)?;
             self.failed = false;
