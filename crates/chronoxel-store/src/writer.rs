@@ -153,14 +153,15 @@ impl StoreWriter {
     }
 
     /// Says what the encoder must remember for a resume, a small value. It is kept in the journal from the next commit on
-    /// (every G steps, as [`Self::commit_step`] says), together with what that commit keeps, and is gone with the journal once the store is finished.
+    /// (every G steps, as [`Self::commit_step`] says), together with what that commit keeps; of a complete store nothing is kept.
     pub fn set_carry(&mut self, carry: Value) {
         self.carry = carry;
     }
 
     /// Appends a batch of spans of one variable and level. Each node's spans come in the order of time, without gaps;
     /// nodes come in any order that does not depend on threads or memory, since bytes are stored in the order of
-    /// arrival (Morton order within a step reads fastest).
+    /// arrival. Ordered by first step, then Morton index, they read fastest; at the end of a series, where windows of all
+    /// phases end at once, that matters.
     ///
     /// # Errors
     /// [`StoreError::InvalidArgument`] if a span does not follow the one before it or contradicts the description,
