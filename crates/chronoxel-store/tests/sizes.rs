@@ -148,7 +148,9 @@ fn noise(
         state ^= state << 17;
         state as u8
     };
-    (0..9).for_each(|_| drop(next()));
+    for _ in 0..9 {
+        next();
+    }
     let class = StageClass { index_bits: 8, table: TableClass::Listed { entries: 256, rows: 8 }, shift: 0 };
     let number = description.variables[0].classes.iter().position(|c| c.stages == [class]).unwrap();
     let stage = Stage {
