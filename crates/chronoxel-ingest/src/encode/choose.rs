@@ -297,7 +297,11 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// One index per sample that serves all steps.
     fn fixed(&self, run: &Run) -> Option<Candidate> {
-        let lattice = &self.lattice.as_ref()?.lattice;
+        let Some(OnLattice { lattice, .. }) = &self.lattice else {
+            let steps = &self.node.steps[run.start..run.start + run.len];
+            let alike = run.len > 1 && steps.iter().all(|step| *step == steps[0]);
+            return alike.then(|| self.affine_within_range(run.start).ok()).flatten();
+        };
         let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high - low).max().unwrap_or(0);
         if variation >= lattice.width() {
             return None;
@@ -309,8 +313,8 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
             let [least, most] = [i32::from(high) - reach, i32::from(low) + reach];
             let kept = i32::from(last) * step_wide + reach;
             if kept < least || kept > most {
-                // There are `step` points or more to choose from.
-                last = ((most - reach) / step_wide) as u16;
+                // The nearest to the middle; there are `step` points or more to choose from.
+                last = (((least + most) / 2 - reach + step_wide / 2).max(0) / step_wide) as u16;
             }
             last
         };
@@ -346,12 +350,12 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         }
         let width = on.lattice.width();
         let ends = run.low.iter().zip(&run.high);
-        let static_cells: Vec<u16> = ends.map(|(&low, &high)| (low / width + high / width) / 2).collect();
+        let static_cells: Vec<u16> = ends.map(|(&low, &high)| (low / width).midpoint(high / width)).collect();
         let steps = &on.cells[run.start..run.start + run.len];
         let mut keys = vec![0u64; static_cells.len()];
         for step in steps {
             for ((key, &cell), &middle) in keys.iter_mut().zip(step).zip(&static_cells) {
-                *key = (key.rotate_left(23) ^ u64::from(cell.wrapping_sub(middle))).wrapping_mul(MIX);
+                *key = (key.rotate_left(23) ^ (i64::from(cell) - i64::from(middle)) as u64).wrapping_mul(MIX);
             }
         }
         let vectors = Vectors::of_keys(keys.into_iter(), MOST_ENTRIES)?;
@@ -376,7 +380,9 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     fn priced(&self, stages: Vec<Stage>) -> Candidate {
         let stored = |stage| (self.stored_len)(&stage_to_bytes(stage, self.layout));
-        let bytes = RECORD_BYTES + stages.iter().map(stored).sum::<usize>();
+        // With one place there is nothing to compare.
+        let counted = if self.node.window > 1 { &stages[..] } else { &[] };
+        let bytes = RECORD_BYTES + counted.iter().map(stored).sum::<usize>();
         Candidate { choice: Choice::Coded(Payload { stages }), bytes }
     }
 
@@ -426,3 +432,6 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         Ok((error, range))
     }
 }
+
+#[cfg(test)]
+mod tests;
