@@ -262,7 +262,7 @@ impl Cover {
         let mut boxes: Vec<Box<W>> = seeds(steps, lattice.reach);
         for at in 0..num_samples {
             let vector = vector_at(steps, at);
-            let before = [1, edge, edge * edge].into_iter().filter_map(|back| at.checked_sub(back));
+            let before = [edge * edge, edge, 1].into_iter().filter_map(|back| at.checked_sub(back));
             let near = before.map(|at| ids[at]).find(|&id| boxes[id as usize].has_room_for(&vector, width));
             let id = near
                 .or_else(|| boxes.iter().position(|b| b.has_room_for(&vector, width)).map(|id| id as u16));
