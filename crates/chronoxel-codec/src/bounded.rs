@@ -167,12 +167,9 @@ impl Vectors {
 
     /// The boxes that hold one vector each.
     ///
-    /// * `steps`: for each step the number of every sample, those of one vector being alike
-    pub fn cover(self, steps: &[impl AsRef<[i32]>]) -> Cover {
-        let vector = |&first: &u32| {
-            let number = |step: &[i32]| step[first as usize];
-            steps.iter().map(|step| number(step.as_ref())).collect()
-        };
+    /// * `point`: of a step and a sample, those of one vector being alike
+    pub fn into_cover(self, num_steps: usize, point: impl Fn(usize, usize) -> i32) -> Cover {
+        let vector = |&first: &u32| (0..num_steps).map(|step| point(step, first as usize)).collect();
         Cover { vectors: self.firsts.iter().map(vector).collect(), ids: self.ids }
     }
 }
@@ -198,22 +195,20 @@ impl<const W: usize> Box<W> {
     #[inline(always)]
     fn has_room_for(&self, vector: &[i32; W], width: i32) -> bool {
         let mut fits = true;
-        for t in 0..W {
-            fits &= self.high[t].max(vector[t]) - self.low[t].min(vector[t]) < width;
+        for ((&low, &high), &v) in self.low.iter().zip(&self.high).zip(vector) {
+            fits &= high.max(v) - low.min(v) < width;
         }
         fits
     }
 
     fn take(&mut self, vector: &[i32; W]) {
-        for t in 0..W {
-            self.low[t] = self.low[t].min(vector[t]);
-            self.high[t] = self.high[t].max(vector[t]);
-        }
+        self.low.iter_mut().zip(vector).for_each(|(low, &v)| *low = v.min(*low));
+        self.high.iter_mut().zip(vector).for_each(|(high, &v)| *high = v.max(*high));
     }
 }
 
 /// Boxes in the middle of which lies a vector that many samples have: what is still stays as it is.
-fn seeds<const W: usize>(steps: &[Vec<i32>], reach: u16) -> Vec<Box<W>> {
+fn seeds<const W: usize>(steps: &[Vec<u16>], reach: u16) -> Vec<Box<W>> {
     const SAMPLED: usize = 13;
     const MOST: usize = 16;
     let mut vectors: Vec<[i32; W]> =
@@ -230,9 +225,9 @@ fn seeds<const W: usize>(steps: &[Vec<i32>], reach: u16) -> Vec<Box<W>> {
 
 /// The vector of a sample; steps beyond the last are zero.
 #[inline(always)]
-fn vector_at<const W: usize>(steps: &[Vec<i32>], at: usize) -> [i32; W] {
+fn vector_at<const W: usize>(steps: &[Vec<u16>], at: usize) -> [i32; W] {
     let mut vector = [0; W];
-    vector.iter_mut().zip(steps).for_each(|(v, step)| *v = step[at]);
+    vector.iter_mut().zip(steps).for_each(|(v, step)| *v = i32::from(step[at]));
     vector
 }
 
@@ -244,7 +239,7 @@ impl Cover {
     ///
     /// * `steps`: the points of every sample, for each of 1 to 16 steps
     /// * `edge`: samples along an edge of the brick
-    pub fn of_steps(steps: &[Vec<i32>], edge: usize, lattice: &Lattice, limit: usize) -> Option<Self> {
+    pub fn of_steps(steps: &[Vec<u16>], edge: usize, lattice: &Lattice, limit: usize) -> Option<Self> {
         match steps.len() {
             1 => Self::grow::<1>(steps, edge, lattice, limit),
             2 => Self::grow::<2>(steps, edge, lattice, limit),
@@ -256,7 +251,7 @@ impl Cover {
     }
 
     fn grow<const W: usize>(
-        steps: &[Vec<i32>],
+        steps: &[Vec<u16>],
         edge: usize,
         lattice: &Lattice,
         limit: usize,
@@ -267,7 +262,7 @@ impl Cover {
         let mut boxes: Vec<Box<W>> = seeds(steps, lattice.reach);
         for at in 0..num_samples {
             let vector = vector_at(steps, at);
-            let before = [1, edge, edge * edge].into_iter().filter_map(|back| at.checked_sub(back));
+            let before = [edge * edge, edge, 1].into_iter().filter_map(|back| at.checked_sub(back));
             let near = before.map(|at| ids[at]).find(|&id| boxes[id as usize].has_room_for(&vector, width));
             let id = near
                 .or_else(|| boxes.iter().position(|b| b.has_room_for(&vector, width)).map(|id| id as u16));
