@@ -9,6 +9,7 @@ pub mod decode;
 pub mod error;
 pub mod payload;
 pub mod quantize;
+pub mod rate;
 pub mod vq;
 pub mod window;
 
@@ -18,5 +19,8 @@ pub use decode::{decode_f64, decode_resident, decoded_range};
 pub use error::CodecError;
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
+pub use rate::{
+    CodedPiece, Piece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points, slopes_for,
+};
 pub use vq::{VectorTable, vector_palette};
 pub use window::{Palette, UnitWindow};
