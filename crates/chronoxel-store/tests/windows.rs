@@ -345,7 +345,8 @@ fn check_interrupted(
     let mut next_writer = Some((StoreWriter::create(&path, &case.description, false).unwrap(), 0));
     let mut committed = None;
     while let Some((writer, from)) = next_writer.take() {
-        let mut left = 1 + random.below(150);
+        // Longer and longer, so that a commit is reached at last.
+        let mut left = 1 + random.below(60 + 60 * u64::from(counts[0]));
         let mut half = None;
         let done = case.go_on(writer, from, |step, writer| {
             let every = writer.header().steps_per_shard;
