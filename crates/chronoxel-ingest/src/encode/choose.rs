@@ -57,6 +57,9 @@ pub struct Piece {
 /// Entries of the largest table.
 const MOST_ENTRIES: usize = 1024;
 
+/// The longest window coded with a static stage and a table: in longer ones too much remains for a table.
+const LONGEST_OF_TWO: u32 = 4;
+
 /// A multiplier that spreads the bits of keys.
 const MIX: u64 = 0x9E37_79B9_7F4A_7C15;
 
@@ -74,7 +77,7 @@ pub fn classes(max_window: u32) -> Vec<PayloadClass> {
             shift: 0,
         };
         classes.extend(TABLES.map(|table| PayloadClass { stages: vec![listed(table)] }));
-        for bits in [8, 16] {
+        for bits in [8, 16].into_iter().filter(|_| rows <= LONGEST_OF_TWO) {
             let stages = |table| vec![StageClass::affine(bits), listed(table)];
             classes.extend(TABLES.map(|table| PayloadClass { stages: stages(table) }));
         }
@@ -345,7 +348,8 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
     /// A static stage of the middle over the steps, and a table of what remains.
     fn fixed_and_table(&self, run: &Run, window: u32) -> Option<Candidate> {
         let on = self.lattice.as_ref()?;
-        if run.vectors.as_ref().is_some_and(|vectors| vectors.firsts.len() <= 256) {
+        let few = run.vectors.as_ref().is_some_and(|vectors| vectors.firsts.len() <= 256);
+        if few || window > LONGEST_OF_TWO {
             return None;
         }
         let width = on.lattice.width();
