@@ -331,11 +331,15 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// One index per sample that serves all steps.
     fn fixed(&self, run: &Run) -> Option<Candidate> {
-        let Some(OnLattice { lattice, .. }) = &self.on_lattice else {
+        let Some(OnLattice { lattice, cells, .. }) = &self.on_lattice else {
             let steps = &self.node.steps[run.start..run.start + run.len];
             let alike = run.len > 1 && steps.iter().all(|step| *step == steps[0]);
             return alike.then(|| self.affine_within_range(run.start).ok()).flatten();
         };
+        if run.len == 1 {
+            let first = i32::from(lattice.reach);
+            return Some(self.priced(vec![lattice.affine_stage(first, lattice.width(), &cells[run.start])]));
+        }
         let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high - low).max().unwrap_or(0);
         if variation >= lattice.width() {
             return None;
@@ -384,9 +388,14 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
             return None;
         }
         let width = on.lattice.width();
-        let ends = run.low.iter().zip(&run.high);
-        let static_cells: Vec<u16> = ends.map(|(&low, &high)| (low / width).midpoint(high / width)).collect();
         let steps = &on.cells[run.start..run.start + run.len];
+        let mut low = steps[0].clone();
+        let mut static_cells = steps[0].clone();
+        for step in &steps[1..] {
+            low.iter_mut().zip(step).for_each(|(low, &cell)| *low = cell.min(*low));
+            static_cells.iter_mut().zip(step).for_each(|(high, &cell)| *high = cell.max(*high));
+        }
+        static_cells.iter_mut().zip(&low).for_each(|(high, &low)| *high = high.midpoint(low));
         let mut keys = vec![0u64; static_cells.len()];
         for step in steps {
             for ((key, &cell), &middle) in keys.iter_mut().zip(step).zip(&static_cells) {
