@@ -184,6 +184,9 @@ pub struct Cover {
     pub vectors: Vec<Vec<i32>>,
 }
 
+/// Comparisons for each sample, on average, beyond which boxes are not worth the time.
+const MOST_COMPARED: usize = 32;
+
 /// A box while it grows.
 #[derive(Clone, Copy)]
 struct Box<const W: usize> {
@@ -232,7 +235,8 @@ fn vector_at<const W: usize>(steps: &[Vec<u16>], at: usize) -> [i32; W] {
 }
 
 impl Cover {
-    /// Boxes for the vectors of all samples, in one pass; `None` where more than `limit` boxes would be needed.
+    /// Boxes for the vectors of all samples, in one pass; `None` where more than `limit` boxes would be needed, or neighbours
+    /// have so little in common that it would take long.
     ///
     /// A sample prefers the boxes of its neighbours before it along x, y and z, since runs of one index are stored in
     /// few bytes; else it takes the first with room, else a new one.
@@ -260,12 +264,19 @@ impl Cover {
         let width = i32::from(lattice.width());
         let mut ids: Vec<u16> = Vec::with_capacity(num_samples);
         let mut boxes: Vec<Box<W>> = seeds(steps, lattice.reach);
+        let mut num_compared = 0;
         for at in 0..num_samples {
             let vector = vector_at(steps, at);
             let before = [edge * edge, edge, 1].into_iter().filter_map(|back| at.checked_sub(back));
             let near = before.map(|at| ids[at]).find(|&id| boxes[id as usize].has_room_for(&vector, width));
-            let id = near
-                .or_else(|| boxes.iter().position(|b| b.has_room_for(&vector, width)).map(|id| id as u16));
+            let id = near.or_else(|| {
+                let found = boxes.iter().position(|b| b.has_room_for(&vector, width));
+                num_compared += found.unwrap_or(boxes.len());
+                found.map(|id| id as u16)
+            });
+            if num_compared > MOST_COMPARED * num_samples {
+                return None;
+            }
             match id {
                 Some(id) => {
                     boxes[id as usize].take(&vector);
