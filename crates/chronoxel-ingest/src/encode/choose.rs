@@ -57,6 +57,9 @@ pub struct Piece {
 /// Entries of the largest table.
 const MOST_ENTRIES: usize = 1024;
 
+/// The longest window coded with a static stage and a table: in longer ones too much remains for a table.
+const LONGEST_OF_TWO: u32 = 4;
+
 /// A multiplier that spreads the bits of keys.
 const MIX: u64 = 0x9E37_79B9_7F4A_7C15;
 
@@ -74,7 +77,7 @@ pub fn classes(max_window: u32) -> Vec<PayloadClass> {
             shift: 0,
         };
         classes.extend(TABLES.map(|table| PayloadClass { stages: vec![listed(table)] }));
-        for bits in [8, 16] {
+        for bits in [8, 16].into_iter().filter(|_| rows <= LONGEST_OF_TWO) {
             let stages = |table| vec![StageClass::affine(bits), listed(table)];
             classes.extend(TABLES.map(|table| PayloadClass { stages: stages(table) }));
         }
@@ -97,7 +100,11 @@ pub fn within_bound<T: Real + SampleValue>(
     layout: &BrickLayout,
     stored_len: &(dyn Fn(&[u8]) -> usize + Sync),
 ) -> Result<Vec<Piece>, Refusal> {
-    let search = Search::new(node, bound, is_binding, layout, stored_len);
+    let mut search = Search::new(node, bound, is_binding, layout, stored_len);
+    if let Some(piece) = search.one_constant() {
+        return Ok(vec![piece]);
+    }
+    search.place_on_lattice();
     let Some(found) = search.best(0, node.window)? else { return Ok(Vec::new()) };
     let pieces: Result<Vec<Vec<Piece>>, Refusal> =
         found.pieces.into_iter().map(|piece| search.checked(piece)).collect();
@@ -110,8 +117,12 @@ struct Search<'a, T> {
     is_binding: bool,
     layout: &'a BrickLayout,
     stored_len: &'a (dyn Fn(&[u8]) -> usize + Sync),
+    /// Range of each step.
+    ranges: Vec<[f64; 2]>,
     /// `None` where the bound is too small for it.
-    lattice: Option<OnLattice>,
+    lattice: Option<Lattice>,
+    /// Set by [`Search::place_on_lattice`].
+    on_lattice: Option<OnLattice>,
 }
 
 /// The steps on one lattice.
@@ -124,17 +135,11 @@ struct OnLattice {
 }
 
 impl OnLattice {
-    fn new<T: Real + SampleValue>(node: &NodeWindow<'_, T>, bound: f64) -> Option<Self> {
-        let ranges = node.steps.iter().map(|step| range_of(step));
-        let range = ranges.fold([f64::INFINITY, f64::NEG_INFINITY], |r, (low, high)| {
-            [r[0].min(low.to_f64()), r[1].max(high.to_f64())]
-        });
-        let some = node.steps.iter().flat_map(|step| step.iter().step_by(SAMPLED).copied());
-        let lattice = Lattice::within(range, bound, node.whole_numbers)?.moved_to(some);
+    fn new<T: Real + SampleValue>(node: &NodeWindow<'_, T>, lattice: Lattice) -> Self {
         let width = lattice.width();
         let points: Vec<Vec<u16>> = node.steps.iter().map(|step| lattice.points(step)).collect();
         let cells = points.iter().map(|points| points.iter().map(|p| p / width).collect()).collect();
-        Some(Self { lattice, points, cells })
+        Self { lattice, points, cells }
     }
 
     /// The middle of cell number `cell`.
@@ -186,6 +191,17 @@ struct Candidate {
     bytes: usize,
 }
 
+impl Candidate {
+    fn constant(value: f64) -> Self {
+        Self { choice: Choice::Constant(value), bytes: RECORD_BYTES }
+    }
+}
+
+/// The range that holds all of some ranges.
+fn joint(ranges: &[[f64; 2]]) -> [f64; 2] {
+    ranges.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, [low, high]| [r[0].min(*low), r[1].max(*high)])
+}
+
 impl<'a, T: Real + SampleValue> Search<'a, T> {
     fn new(
         node: &'a NodeWindow<'a, T>,
@@ -194,8 +210,29 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         layout: &'a BrickLayout,
         stored_len: &'a (dyn Fn(&[u8]) -> usize + Sync),
     ) -> Self {
-        let lattice = OnLattice::new(node, bound);
-        Self { node, bound, is_binding, layout, stored_len, lattice }
+        let ends = |step: &&[T]| {
+            let (low, high) = range_of(step);
+            [low.to_f64(), high.to_f64()]
+        };
+        let ranges: Vec<[f64; 2]> = node.steps.iter().map(ends).collect();
+        let some = node.steps.iter().flat_map(|step| step.iter().step_by(SAMPLED).copied());
+        let lattice = Lattice::within(joint(&ranges), bound, node.whole_numbers);
+        let lattice = lattice.map(|lattice| lattice.moved_to(some));
+        Self { node, bound, is_binding, layout, stored_len, ranges, lattice, on_lattice: None }
+    }
+
+    /// The one piece of a window that is constant, in space and time: a short cut to what the search would find.
+    fn one_constant(&self) -> Option<Piece> {
+        let (len, masks) = (self.node.steps.len(), &self.node.masks);
+        let alike = len > 0 && masks.iter().all(|mask| *mask == masks[0]);
+        let value = alike.then(|| self.constant(joint(&self.ranges))).flatten()?;
+        let (first, last) = (self.node.lead as u32, (self.node.lead + len - 1) as u32);
+        let window = std::iter::successors(Some(1), |w| Some(2 * w)).find(|w| first / w == last / w)?;
+        Some(Piece { start: 0, len, window, content: Choice::Constant(value), drawn_range: [value; 2] })
+    }
+
+    fn place_on_lattice(&mut self) {
+        self.on_lattice = self.lattice.map(|lattice| OnLattice::new(self.node, lattice));
     }
 
     /// The best for places `place .. place + window`; `None` where no step is there.
@@ -222,19 +259,19 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
     }
 
     fn single(&self, at: usize) -> Result<Found, Refusal> {
-        let (low, high) = range_of(self.node.steps[at]);
-        let points = self.lattice.as_ref().map(|on| on.points[at].clone()).unwrap_or_default();
-        let cells = self.lattice.as_ref().filter(|_| self.node.window > 1).map(|on| &on.cells[at]);
+        let points = self.on_lattice.as_ref().map(|on| on.points[at].clone()).unwrap_or_default();
+        let cells = self.on_lattice.as_ref().filter(|_| self.node.window > 1).map(|on| &on.cells[at]);
         let run = Run {
             start: at,
             len: 1,
-            range: [low.to_f64(), high.to_f64()],
+            range: self.ranges[at],
             low: points.clone(),
             high: points,
             vectors: cells.and_then(|c| Vectors::of_keys(c.iter().map(|&cell| cell.into()), MOST_ENTRIES)),
             has_cover: true,
         };
-        let candidate = match self.constant(&run).or_else(|| self.fixed(&run)) {
+        let constant = self.constant(run.range).map(Candidate::constant);
+        let candidate = match constant.or_else(|| self.fixed(&run)) {
             Some(candidate) => candidate,
             None => self.affine_within_range(at)?,
         };
@@ -254,7 +291,7 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         Run {
             start: a.start,
             len: a.len + b.len,
-            range: [a.range[0].min(b.range[0]), a.range[1].max(b.range[1])],
+            range: joint(&[a.range, b.range]),
             low: a.low.iter().zip(&b.low).map(smaller).collect(),
             high: a.high.iter().zip(&b.high).map(larger).collect(),
             vectors: a.vectors.as_ref().zip(b.vectors.as_ref()).and_then(|(a, b)| a.joined(b, MOST_ENTRIES)),
@@ -264,8 +301,8 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// One piece for a run of several steps, if that takes fewer bytes than `bytes`.
     fn joined(&self, run: &mut Run, window: u32, bytes: usize) -> Option<Candidate> {
-        let candidates = match self.constant(run) {
-            Some(constant) => vec![Some(constant)],
+        let candidates = match self.constant(run.range) {
+            Some(value) => vec![Some(Candidate::constant(value))],
             None => vec![
                 self.fixed(run),
                 self.vector_table(run, window),
@@ -277,31 +314,32 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         candidates.into_iter().flatten().filter(|c| c.bytes < bytes).min_by_key(|c| c.bytes)
     }
 
-    fn constant(&self, run: &Run) -> Option<Candidate> {
-        let [low, high] = run.range;
+    /// A value within the bound of all samples of a range.
+    fn constant(&self, [low, high]: [f64; 2]) -> Option<f64> {
         let holds = |value: &f64| value - low <= self.bound && high - value <= self.bound;
-        let ends = |on: &OnLattice| {
-            let ends = run.low.iter().min().zip(run.high.iter().max())?;
-            Some(on.lattice.value(on.lattice.point_for([ends.0, ends.1].map(|&p| p.into()))))
-        };
+        if low == high {
+            return Some(low);
+        }
+        let middle = Some(0.5 * low + 0.5 * high).filter(holds)?;
         // Where there is a choice, what the lattice has in the middle of a cell.
-        let value = match low == high {
-            true => Some(low),
-            false => {
-                let middle = Some(0.5 * low + 0.5 * high).filter(holds);
-                middle.and_then(|_| self.lattice.as_ref().and_then(ends).filter(holds)).or(middle)
-            }
-        };
-        Some(Candidate { choice: Choice::Constant(value?), bytes: RECORD_BYTES })
+        let of_lattice = self.lattice.map(|lattice| {
+            let ends = lattice.points(&[low, high]);
+            lattice.value(lattice.point_for([ends[0], ends[1]].map(i32::from)))
+        });
+        of_lattice.filter(holds).or(Some(middle))
     }
 
     /// One index per sample that serves all steps.
     fn fixed(&self, run: &Run) -> Option<Candidate> {
-        let Some(OnLattice { lattice, .. }) = &self.lattice else {
+        let Some(OnLattice { lattice, cells, .. }) = &self.on_lattice else {
             let steps = &self.node.steps[run.start..run.start + run.len];
             let alike = run.len > 1 && steps.iter().all(|step| *step == steps[0]);
             return alike.then(|| self.affine_within_range(run.start).ok()).flatten();
         };
+        if run.len == 1 {
+            let first = i32::from(lattice.reach);
+            return Some(self.priced(vec![lattice.affine_stage(first, lattice.width(), &cells[run.start])]));
+        }
         let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high - low).max().unwrap_or(0);
         if variation >= lattice.width() {
             return None;
@@ -324,7 +362,7 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// A table of the distinct vectors of cells.
     fn vector_table(&self, run: &Run, window: u32) -> Option<Candidate> {
-        let (on, vectors) = (self.lattice.as_ref()?, run.vectors.clone()?);
+        let (on, vectors) = (self.on_lattice.as_ref()?, run.vectors.clone()?);
         let middle = |step: usize, sample: usize| on.middle(on.cells[run.start + step][sample]);
         let cover = vectors.into_cover(run.len, middle);
         self.canonical(vec![cover.listed_stage(&on.lattice, window as usize)])
@@ -332,7 +370,7 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// A table of one vector of points for each of a few boxes that hold the vectors of all samples.
     fn box_table(&self, run: &mut Run, window: u32) -> Option<Candidate> {
-        let on = self.lattice.as_ref()?;
+        let on = self.on_lattice.as_ref()?;
         if !run.has_cover || window < 4 || on.lattice.reach == 0 {
             return None;
         }
@@ -344,14 +382,20 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// A static stage of the middle over the steps, and a table of what remains.
     fn fixed_and_table(&self, run: &Run, window: u32) -> Option<Candidate> {
-        let on = self.lattice.as_ref()?;
-        if run.vectors.as_ref().is_some_and(|vectors| vectors.firsts.len() <= 256) {
+        let on = self.on_lattice.as_ref()?;
+        let few = run.vectors.as_ref().is_some_and(|vectors| vectors.firsts.len() <= 256);
+        if few || window > LONGEST_OF_TWO {
             return None;
         }
         let width = on.lattice.width();
-        let ends = run.low.iter().zip(&run.high);
-        let static_cells: Vec<u16> = ends.map(|(&low, &high)| (low / width).midpoint(high / width)).collect();
         let steps = &on.cells[run.start..run.start + run.len];
+        let mut low = steps[0].clone();
+        let mut static_cells = steps[0].clone();
+        for step in &steps[1..] {
+            low.iter_mut().zip(step).for_each(|(low, &cell)| *low = cell.min(*low));
+            static_cells.iter_mut().zip(step).for_each(|(high, &cell)| *high = cell.max(*high));
+        }
+        static_cells.iter_mut().zip(&low).for_each(|(high, &low)| *high = high.midpoint(low));
         let mut keys = vec![0u64; static_cells.len()];
         for step in steps {
             for ((key, &cell), &middle) in keys.iter_mut().zip(step).zip(&static_cells) {

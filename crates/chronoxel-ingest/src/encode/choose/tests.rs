@@ -253,7 +253,8 @@ fn longer_windows_never_cost_more() {
     };
     for (speed, at_least) in [(0.02, 2.0), (0.2, 1.05), (3.0, 1.0)] {
         let steps = field::<f32>(8, wave(speed));
-        let single: usize = steps.iter().map(|step| bytes(&check(&[step.clone()], 1, 0, 0.02))).sum();
+        let single: usize =
+            steps.iter().map(|step| bytes(&check(std::slice::from_ref(step), 1, 0, 0.02))).sum();
         let joined = bytes(&check(&steps, 8, 0, 0.02));
         assert!(single as f64 >= at_least * joined as f64, "speed {speed}: {single} against {joined}");
     }
