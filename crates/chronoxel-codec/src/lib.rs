@@ -3,20 +3,29 @@
 //! A decoded sample is the sum over the stages of `table[row(step)][index]`, whatever made the tables
 //! and the indices. Encoders may be as clever as they like; there is one decode rule.
 
+pub mod allocation;
 pub mod bytes;
 pub mod class;
+pub mod dct;
 pub mod decode;
 pub mod error;
+mod fixed;
+pub mod lloyd_max;
+pub mod palette;
 pub mod payload;
 pub mod quantize;
 pub mod rate;
 pub mod vq;
 pub mod window;
 
+pub use allocation::{allocate_bits, expected_distortion};
 pub use bytes::{stage_from_bytes, stage_to_bytes};
 pub use class::{PayloadClass, StageClass, TableClass};
+pub use dct::Dct;
 pub use decode::{decode_f64, decode_resident, decoded_range};
 pub use error::CodecError;
+pub use lloyd_max::LloydMax;
+pub use palette::{ProductQuantizer, product_palette};
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
 pub use rate::{

@@ -38,16 +38,17 @@ impl Indices {
     /// The largest index; 0 where there are none.
     pub fn largest(&self) -> u16 {
         match self {
-            Self::U8(v) => u16::from(v.iter().copied().max().unwrap_or(0)),
-            Self::U16(v) => v.iter().copied().max().unwrap_or(0),
+            Self::U8(v) => u16::from(v.iter().fold(0, |largest, &i| largest.max(i))),
+            Self::U16(v) => v.iter().fold(0, |largest, &i| largest.max(i)),
         }
     }
 
     /// The smallest index; 0 where there are none.
     pub fn smallest(&self) -> u16 {
         match self {
-            Self::U8(v) => u16::from(v.iter().copied().min().unwrap_or(0)),
-            Self::U16(v) => v.iter().copied().min().unwrap_or(0),
+            Self::U8(v) if !v.is_empty() => u16::from(v.iter().fold(u8::MAX, |least, &i| least.min(i))),
+            Self::U16(v) if !v.is_empty() => v.iter().fold(u16::MAX, |least, &i| least.min(i)),
+            _ => 0,
         }
     }
 }
@@ -124,7 +125,9 @@ impl Stage {
                     return Err(CodecError::corrupt("number of table entries", entries.len(), problem));
                 }
                 let num_entries = entries.len() / num_rows;
-                if usize::from(self.indices.largest()) >= num_entries {
+                // Indices of 8 bits cannot leave a table of 256 entries.
+                let all_fit = num_entries >= 1 << self.indices.bits();
+                if !all_fit && usize::from(self.indices.largest()) >= num_entries {
                     let problem = format!("the table has {num_entries} entries");
                     return Err(CodecError::corrupt("index", self.indices.largest(), problem));
                 }
