@@ -15,7 +15,7 @@ pub use points::{CodedPiece, Piece, RateOptions, RatePoint, Run, rate_points};
 /// Slopes are tried in steps of this factor at first.
 const FIRST_FACTOR: f64 = 16.0;
 /// Slopes near a budget, as factors of the one that is expected to meet it.
-const FACTORS_NEAR: [f64; 4] = [0.125, 0.5, 2.0, 8.0];
+const FACTORS_NEAR: [f64; 3] = [0.3, 1.0, 3.0];
 
 /// Slopes from that of 16 bits a sample to that of next to none, increasing.
 ///
