@@ -10,7 +10,8 @@ use chronoxel_codec::{decode_f64, decode_resident};
 use chronoxel_core::SpanKind;
 use chronoxel_store::{Store, verify};
 
-const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../crates/chronoxel-store/tests/fixtures/v1.cxl");
+const FIXTURE: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../crates/chronoxel-store/tests/fixtures/v1_sparse.cxl");
 /// Most nodes of a level of a store that is read through: the fixture has four, a forged header may say any number.
 const MOST_NODES: usize = 64;
 const ABSENT: [u8; 16] = [0xff; 16];

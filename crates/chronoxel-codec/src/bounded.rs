@@ -167,12 +167,9 @@ impl Vectors {
 
     /// The boxes that hold one vector each.
     ///
-    /// * `steps`: for each step the number of every sample, those of one vector being alike
-    pub fn cover(self, steps: &[impl AsRef<[i32]>]) -> Cover {
-        let vector = |&first: &u32| {
-            let number = |step: &[i32]| step[first as usize];
-            steps.iter().map(|step| number(step.as_ref())).collect()
-        };
+    /// * `point`: of a step and a sample, those of one vector being alike
+    pub fn into_cover(self, num_steps: usize, point: impl Fn(usize, usize) -> i32) -> Cover {
+        let vector = |&first: &u32| (0..num_steps).map(|step| point(step, first as usize)).collect();
         Cover { vectors: self.firsts.iter().map(vector).collect(), ids: self.ids }
     }
 }
@@ -187,6 +184,9 @@ pub struct Cover {
     pub vectors: Vec<Vec<i32>>,
 }
 
+/// Comparisons for each sample, on average, beyond which boxes are not worth the time.
+const MOST_COMPARED: usize = 32;
+
 /// A box while it grows.
 #[derive(Clone, Copy)]
 struct Box<const W: usize> {
@@ -198,22 +198,20 @@ impl<const W: usize> Box<W> {
     #[inline(always)]
     fn has_room_for(&self, vector: &[i32; W], width: i32) -> bool {
         let mut fits = true;
-        for t in 0..W {
-            fits &= self.high[t].max(vector[t]) - self.low[t].min(vector[t]) < width;
+        for ((&low, &high), &v) in self.low.iter().zip(&self.high).zip(vector) {
+            fits &= high.max(v) - low.min(v) < width;
         }
         fits
     }
 
     fn take(&mut self, vector: &[i32; W]) {
-        for t in 0..W {
-            self.low[t] = self.low[t].min(vector[t]);
-            self.high[t] = self.high[t].max(vector[t]);
-        }
+        self.low.iter_mut().zip(vector).for_each(|(low, &v)| *low = v.min(*low));
+        self.high.iter_mut().zip(vector).for_each(|(high, &v)| *high = v.max(*high));
     }
 }
 
 /// Boxes in the middle of which lies a vector that many samples have: what is still stays as it is.
-fn seeds<const W: usize>(steps: &[Vec<i32>], reach: u16) -> Vec<Box<W>> {
+fn seeds<const W: usize>(steps: &[Vec<u16>], reach: u16) -> Vec<Box<W>> {
     const SAMPLED: usize = 13;
     const MOST: usize = 16;
     let mut vectors: Vec<[i32; W]> =
@@ -230,21 +228,22 @@ fn seeds<const W: usize>(steps: &[Vec<i32>], reach: u16) -> Vec<Box<W>> {
 
 /// The vector of a sample; steps beyond the last are zero.
 #[inline(always)]
-fn vector_at<const W: usize>(steps: &[Vec<i32>], at: usize) -> [i32; W] {
+fn vector_at<const W: usize>(steps: &[Vec<u16>], at: usize) -> [i32; W] {
     let mut vector = [0; W];
-    vector.iter_mut().zip(steps).for_each(|(v, step)| *v = step[at]);
+    vector.iter_mut().zip(steps).for_each(|(v, step)| *v = i32::from(step[at]));
     vector
 }
 
 impl Cover {
-    /// Boxes for the vectors of all samples, in one pass; `None` where more than `limit` boxes would be needed.
+    /// Boxes for the vectors of all samples, in one pass; `None` where more than `limit` boxes would be needed, or neighbours
+    /// have so little in common that it would take long.
     ///
     /// A sample prefers the boxes of its neighbours before it along x, y and z, since runs of one index are stored in
     /// few bytes; else it takes the first with room, else a new one.
     ///
     /// * `steps`: the points of every sample, for each of 1 to 16 steps
     /// * `edge`: samples along an edge of the brick
-    pub fn of_steps(steps: &[Vec<i32>], edge: usize, lattice: &Lattice, limit: usize) -> Option<Self> {
+    pub fn of_steps(steps: &[Vec<u16>], edge: usize, lattice: &Lattice, limit: usize) -> Option<Self> {
         match steps.len() {
             1 => Self::grow::<1>(steps, edge, lattice, limit),
             2 => Self::grow::<2>(steps, edge, lattice, limit),
@@ -256,7 +255,7 @@ impl Cover {
     }
 
     fn grow<const W: usize>(
-        steps: &[Vec<i32>],
+        steps: &[Vec<u16>],
         edge: usize,
         lattice: &Lattice,
         limit: usize,
@@ -265,12 +264,19 @@ impl Cover {
         let width = i32::from(lattice.width());
         let mut ids: Vec<u16> = Vec::with_capacity(num_samples);
         let mut boxes: Vec<Box<W>> = seeds(steps, lattice.reach);
+        let mut num_compared = 0;
         for at in 0..num_samples {
             let vector = vector_at(steps, at);
-            let before = [1, edge, edge * edge].into_iter().filter_map(|back| at.checked_sub(back));
+            let before = [edge * edge, edge, 1].into_iter().filter_map(|back| at.checked_sub(back));
             let near = before.map(|at| ids[at]).find(|&id| boxes[id as usize].has_room_for(&vector, width));
-            let id = near
-                .or_else(|| boxes.iter().position(|b| b.has_room_for(&vector, width)).map(|id| id as u16));
+            let id = near.or_else(|| {
+                let found = boxes.iter().position(|b| b.has_room_for(&vector, width));
+                num_compared += found.unwrap_or(boxes.len());
+                found.map(|id| id as u16)
+            });
+            if num_compared > MOST_COMPARED * num_samples {
+                return None;
+            }
             match id {
                 Some(id) => {
                     boxes[id as usize].take(&vector);
@@ -316,5 +322,144 @@ impl Cover {
             entries,
         };
         Stage { indices, table, shift: 0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use chronoxel_core::BrickLayout;
+
+    use super::*;
+    use crate::{Payload, decode_f64};
+
+    /// SplitMix64.
+    struct Random(u64);
+
+    impl Random {
+        fn next(&mut self) -> u64 {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            z ^ (z >> 31)
+        }
+
+        fn unit(&mut self) -> f64 {
+            (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        }
+    }
+
+    #[test]
+    fn all_points_within_reach_are_within_the_bound() {
+        let mut random = Random(1);
+        for at in 0..200 {
+            let low = 10f64.powf(10.0 * random.unit() - 5.0) * (random.unit() - 0.5);
+            let width = 10f64.powf(6.0 * random.unit() - 3.0);
+            let bound = width * 10f64.powf(-4.0 * random.unit());
+            let samples: Vec<f64> = (0..500).map(|_| low + width * random.unit()).collect();
+            let Some(lattice) = Lattice::within([low, low + width], bound, false) else {
+                assert!(bound < width / 65_000.0 || bound < 1e-8 * low.abs(), "case {at}");
+                continue;
+            };
+            let lattice = lattice.moved_to(samples.iter().copied());
+            for (&x, p) in samples.iter().zip(lattice.points(&samples)) {
+                let [p, reach] = [p, lattice.reach].map(i32::from);
+                assert!((lattice.value(p - reach) - x).abs() <= bound, "case {at}");
+                assert!((lattice.value(p + reach) - x).abs() <= bound, "case {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn whole_numbers_get_whole_points() {
+        let lattice = Lattice::within([-300.0, 700.0], 2.9, true).unwrap();
+        assert_eq!((lattice.offset, lattice.scale, lattice.reach), (-300.0, 1.0, 2));
+        let exact = Lattice::within([0.0, 65535.0], 0.0, true).unwrap();
+        assert_eq!(exact.points(&[0.0, 1.0, 65535.0]), [0, 1, 65535]);
+        assert_eq!(Lattice::within([0.0, 65536.0], 0.5, true), None);
+        assert_eq!(Lattice::within([0.0, 1.0], 0.0, false), None);
+        assert_eq!(Lattice::within([-f64::MAX, f64::MAX], 1e300, false), None);
+    }
+
+    #[test]
+    fn what_many_samples_have_becomes_the_middle_of_a_cell() {
+        let mut samples = vec![3.21f64; 100];
+        samples.extend([0.0, 1.0, 2.0, 4.0]);
+        let lattice = Lattice::within([0.0, 4.0], 0.1, false).unwrap().moved_to(samples.iter().copied());
+        let point = lattice.points(&samples)[0];
+        assert_eq!(point % lattice.width(), lattice.reach);
+        // Whole numbers lie on points.
+        let whole = Lattice::within([0.0, 4.0], 1.0, true).unwrap().moved_to([0.0f64, 3.0, 3.0].into_iter());
+        assert_eq!(whole.offset.fract(), 0.0);
+        assert_eq!(whole.points(&[3.0f64])[0] % 3, 1);
+    }
+
+    #[test]
+    fn a_point_is_found_for_every_range_that_is_narrow_enough() {
+        for reach in [0, 1, 3, 7] {
+            let lattice = Lattice { offset: 0.0, scale: 1.0, reach };
+            for low in -40..40 {
+                for high in low..low + i32::from(lattice.width()) {
+                    let point = lattice.point_for([low, high]);
+                    assert!(
+                        (point - low).abs() <= i32::from(reach) && (high - point).abs() <= i32::from(reach)
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn vectors_are_counted_and_joined() {
+        let mut random = Random(2);
+        let mut steps = || (0..1331).map(|_| random.next() % 6).collect::<Vec<u64>>();
+        let (a, b) = (steps(), steps());
+        let vectors = |keys: &[u64]| Vectors::of_keys(keys.iter().copied(), 1024).unwrap();
+        let joined = vectors(&a).joined(&vectors(&b), 36).unwrap();
+        let pairs: BTreeSet<(u64, u64)> = a.iter().copied().zip(b.iter().copied()).collect();
+        assert_eq!((pairs.len(), joined.firsts.len()), (36, 36));
+        for (at, &id) in joined.ids.iter().enumerate() {
+            let first = joined.firsts[id as usize] as usize;
+            assert_eq!((a[at], b[at]), (a[first], b[first]));
+        }
+        assert_eq!(vectors(&a).joined(&vectors(&b), 35), None);
+    }
+
+    #[test]
+    fn boxes_hold_all_vectors_and_decode_within_reach() {
+        let layout = BrickLayout::new(8).unwrap();
+        let (edge, n) = (layout.full_edge(), layout.num_full());
+        let mut random = Random(3);
+        for num_steps in [1, 2, 3, 4, 7, 16] {
+            // A front that moves, on a floor with a little noise.
+            let point = |at: usize, t: usize, noise: u64| {
+                let x = (at % edge + at / edge / edge) as u16;
+                (20 * x.saturating_sub(t as u16 / 2)).min(100) + (noise % 4) as u16
+            };
+            let steps: Vec<Vec<u16>> =
+                (0..num_steps).map(|t| (0..n).map(|at| point(at, t, random.next())).collect()).collect();
+            let lattice = Lattice { offset: 5.0, scale: 0.5, reach: 3 };
+            let cover = Cover::of_steps(&steps, edge, &lattice, 1024).unwrap();
+            let stage = cover.listed_stage(&lattice, num_steps + 1).into_canonical(&layout).unwrap();
+            let payload = Payload { stages: vec![stage] };
+            for (t, step) in steps.iter().enumerate() {
+                let decoded = decode_f64(&payload, &layout, t as u32).unwrap();
+                for (&p, decoded) in step.iter().zip(decoded) {
+                    assert!((lattice.value(p.into()) - decoded).abs() <= 1.5);
+                }
+            }
+            assert_eq!(Cover::of_steps(&steps, edge, &lattice, cover.vectors.len() - 1), None);
+        }
+    }
+
+    #[test]
+    fn a_ramp_needs_one_box_for_each_width() {
+        // 1,331 samples, one point apart at both steps: boxes of 7 points, 1331 / 7 = 190.1.
+        let ramp: Vec<u16> = (0..1331).collect();
+        let lattice = Lattice { offset: 0.0, scale: 1.0, reach: 3 };
+        let cover = Cover::of_steps(&[ramp.clone(), ramp], 11, &lattice, 1024).unwrap();
+        assert_eq!(cover.vectors.len(), 191);
+        assert_eq!(cover.vectors[0], [3, 3]);
     }
 }

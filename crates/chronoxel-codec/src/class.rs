@@ -9,7 +9,9 @@ use crate::CodecError;
 /// Most stages of a payload.
 pub const MAX_STAGES: usize = 8;
 /// Most entries in a row of a listed table.
-pub const MAX_ENTRIES: u32 = 1024;
+pub const MAX_ENTRIES: u32 = 1 << 16;
+/// Most entries of a listed table, all rows together.
+pub const MAX_TABLE: u64 = 1 << 20;
 /// Most rows of a listed table, and so the longest window.
 pub const MAX_ROWS: u32 = 1024;
 
@@ -21,7 +23,7 @@ pub enum TableClass {
     Affine,
     /// Offset, scale, and `rows * entries` numbers of 16 bits.
     Listed {
-        /// Entries of a row, at most 1,024, and at most 256 with 8-bit indices.
+        /// Entries of a row, at most 65,536, and at most 256 with 8-bit indices.
         entries: u32,
         /// Rows.
         rows: u32,
@@ -116,11 +118,15 @@ impl StageClass {
                 return Err(CodecError::invalid(
                     "table entries",
                     entries,
-                    "use 1 to 1024, to 256 with 8 bits",
+                    "use 1 to 65536, to 256 with 8 bits",
                 ));
             }
             if rows == 0 || rows > MAX_ROWS {
                 return Err(CodecError::invalid("table rows", rows, "use 1 to 1024"));
+            }
+            if u64::from(entries) * u64::from(rows) > MAX_TABLE {
+                let value = format!("{rows} x {entries}");
+                return Err(CodecError::invalid("table size", value, "at most 2^20 entries over all rows"));
             }
         }
         Ok(())

@@ -15,6 +15,7 @@ pub mod lloyd_max;
 pub mod palette;
 pub mod payload;
 pub mod quantize;
+pub mod rate;
 pub mod vq;
 pub mod window;
 
@@ -28,5 +29,8 @@ pub use lloyd_max::LloydMax;
 pub use palette::{ProductQuantizer, product_palette};
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
+pub use rate::{
+    CodedPiece, Piece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points, slopes_for,
+};
 pub use vq::{VectorTable, vector_palette};
 pub use window::{Palette, UnitWindow};

@@ -13,8 +13,9 @@ const MAX_BITS: u32 = 8;
 /// A vector holds the samples of one place over the steps of a window. Its DCT coefficients get bits by their variances
 /// ([`allocate_bits`]), those with bits are quantised by [`LloydMax`] quantisers of `2^bits` levels, and the numbers of the levels,
 /// the coefficient of most bits highest, make the index. A table entry is, per step, the mean of the trained vectors that have the
-/// index; where none has, it is the inverse transform of the levels (of the mean where a coefficient has no bits), clamped
-/// to [0, 1]: for a vector beside the trained ones that is nearer than the entry of another index would be.
+/// index; where none has, of the others that have it (on the aprons of test fields, 0.36 to 0.02 of the square error of
+/// moving them to the nearest trained entry); and where no vector at all has it, the inverse transform of the levels (of the mean where
+/// a coefficient has no bits), clamped to [0, 1], for vectors that come later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProductQuantizer {
     dct: Dct,
@@ -38,7 +39,7 @@ impl ProductQuantizer {
     ///
     /// * `values`: `[t, vector]`, in [0, 1]
     /// * `num_steps`: length of the vectors, at least 1
-    /// * `trained`: which vectors to fit to, increasing
+    /// * `trained`: which vectors to fit to, increasing; the others count only for entries that none of these has
     /// * `bits`: of an index; more than 8 count as 8
     ///
     /// # Panics
@@ -178,10 +179,14 @@ fn inverse_table(dct: &Dct, parts: &[Part], means: &[f32], num_entries: usize) -
     table
 }
 
-/// Replaces the entries of indices that trained vectors have by their means.
+/// Replaces the entries of indices that vectors have by their means: of the trained ones, or of the others where none is
+/// trained.
 fn put_means(table: &mut [f32], num_entries: usize, values: &[f32], indices: &[u8], runs: &[Range<usize>]) {
     let mut counts = [0u32; 256];
     runs.iter().for_each(|run| indices[run.clone()].iter().for_each(|&i| counts[usize::from(i)] += 1));
+    let trained = counts.map(|count| count > 0);
+    let others = (0..indices.len()).filter(|&at| !trained[usize::from(indices[at])]);
+    let others: Vec<usize> = others.inspect(|&at| counts[usize::from(indices[at])] += 1).collect();
     let per_count = counts.map(|count| 1.0 / f64::from(count.max(1)));
     for (row, values) in table.chunks_exact_mut(num_entries).zip(values.chunks_exact(indices.len().max(1))) {
         // Neighbours often have one index: two sums, so that one need not wait for the other.
@@ -190,6 +195,7 @@ fn put_means(table: &mut [f32], num_entries: usize, values: &[f32], indices: &[u
             let pairs = indices[run.clone()].iter().zip(&values[run.clone()]);
             pairs.enumerate().for_each(|(at, (&i, &value))| sums[usize::from(i)][at % 2] += f64::from(value));
         }
+        others.iter().for_each(|&at| sums[usize::from(indices[at])][0] += f64::from(values[at]));
         for (entry, value) in row.iter_mut().enumerate() {
             if counts[entry] > 0 {
                 *value = ((sums[entry][0] + sums[entry][1]) * per_count[entry]).clamp(0.0, 1.0) as f32;

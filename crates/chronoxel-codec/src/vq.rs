@@ -70,6 +70,7 @@ impl<'a> VectorTable<'a> {
         if let Some(values) = distinct_series(window, num_entries) {
             table.entries = Entries { prices: vec![0.0; values.len() / window.num_steps], values };
             table.exact = true;
+            table.chosen.clone_from(&table.core);
         } else {
             (table.entries, table.mean_cost) = train(table.vectors(&table.chosen), num_entries);
         }

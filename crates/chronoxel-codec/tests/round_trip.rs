@@ -140,6 +140,68 @@ fn the_sum_of_stages_is_the_sum_of_their_table_entries() {
     assert!(decode_f64(&listed, &layout(), 27).is_ok() && decode_f64(&listed, &layout(), 28).is_err());
 }
 
+/// Offset and scale of stages that sums stumble over.
+const NUMBERS: [[f64; 2]; 8] = [
+    [-3.0, 1e-4],
+    [1e10, 1e-9],
+    [-1e10, 3e-9],
+    [1e300, 1e293],
+    [-1e-310, 1e-312],
+    [5e-324, 5e-324],
+    [0.25, 0.0],
+    [-1e16, 1.0],
+];
+
+#[test]
+fn drawn_sums_keep_their_bound_and_ranges_are_exact() {
+    let mut random = Random(8);
+    let mut classes = classes();
+    classes.retain(|class| !matches!(class.table, TableClass::Listed { rows: 1, .. }));
+    for _ in 0..300 {
+        let mut stage = || {
+            let class = classes[random.next() as usize % classes.len()];
+            let mut stage = random_stage(&mut random, class);
+            let numbers = NUMBERS[random.next() as usize % NUMBERS.len()];
+            if let Table::Listed { entries, .. } = &mut stage.table {
+                entries.iter_mut().for_each(|entry| *entry *= 13_107);
+            }
+            let (Table::Affine { offset, scale } | Table::Listed { offset, scale, .. }) = &mut stage.table;
+            [*offset, *scale] = numbers;
+            stage
+        };
+        let payload = Payload { stages: vec![stage(), stage(), stage()] };
+        let magnitude = |stage: &Stage| {
+            let (Table::Affine { offset, scale } | Table::Listed { offset, scale, .. }) = stage.table;
+            offset.abs() + 65535.0 * scale
+        };
+        let ulps = 4.0 * 4.0 * f64::EPSILON * payload.stages.iter().map(magnitude).sum::<f64>();
+        let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+        for step in 0..8 {
+            let decoded = decode_f64(&payload, &layout(), step).unwrap();
+            let brick = decode_resident(&payload, &layout(), step, None).unwrap();
+            for (&sample, value) in brick.samples.iter().zip(&decoded) {
+                let drawn = brick.offset + brick.scale * f64::from(sample);
+                assert!((drawn - value).abs() <= 0.501 * brick.scale + ulps, "{value} is drawn as {drawn}");
+            }
+            decoded.iter().for_each(|&v| range = [range[0].min(v), range[1].max(v)]);
+            assert_eq!(decoded_range(&payload, &layout(), step + 1).unwrap(), range);
+        }
+    }
+}
+
+#[test]
+fn sums_that_are_not_finite_are_errors_and_long_spans_of_one_row_are_quick() {
+    let mut random = Random(9);
+    let mut stage = random_stage(&mut random, StageClass::affine(8));
+    let payload = Payload { stages: vec![stage.clone(), stage.clone()] };
+    assert!(decoded_range(&payload, &layout(), u32::MAX).is_ok());
+    stage.table = Table::Affine { offset: 1.7e308, scale: 0.0 };
+    let payload = Payload { stages: vec![stage.clone(), stage] };
+    assert!(decode_resident(&payload, &layout(), 0, None).is_err());
+    assert!(decoded_range(&payload, &layout(), 1).is_err());
+    assert!(decode_resident(&Payload { stages: vec![] }, &layout(), 0, None).is_err());
+}
+
 /// Bricks of every kind that quantisers stumble over.
 fn bricks(random: &mut Random) -> Vec<Vec<f64>> {
     let mut scaled = |offset: f64, width: f64| (0..1331).map(|_| offset + width * random.unit()).collect();

@@ -18,9 +18,11 @@ mod output;
 mod pad;
 mod palettes;
 mod pyramid;
+mod rate;
 pub(crate) mod real;
 mod resume;
 mod scratch;
+mod slices;
 mod step;
 pub(crate) mod stream;
 mod timing;
@@ -115,7 +117,7 @@ impl Job {
                 sample_type: variable.sample_type,
                 fill_value: coding.fill_value,
                 windows: coding.how.windows(),
-                classes: coding.how.classes(),
+                classes: coding.how.classes(&layout),
             }
         });
         let description = StoreDescription {

@@ -24,11 +24,7 @@ fn mixed(dims: [usize; 3], num_steps: usize) -> MemorySeries {
 }
 
 fn options() -> EncodeOptions {
-    EncodeOptions {
-        codec: Codec::Raw,
-        source_name: "mixed".into(),
-        ..EncodeOptions::default()
-    }
+    EncodeOptions { codec: Codec::Raw, source_name: "mixed".into(), ..EncodeOptions::default() }
 }
 
 fn run(series: &mut MemorySeries, path: &Path, options: &EncodeOptions) -> Result<EncodeReport, EncodeError> {
@@ -212,7 +208,10 @@ fn unusable_outputs_and_options_are_refused() {
     let unusable = [
         (EncodeOptions { bits: Some(12.0), ..options() }, "--bits 12"),
         (EncodeOptions { codec: Codec::Auto, bits: Some(0.0), ..options() }, "--bits 0"),
-        (EncodeOptions { codec: Codec::Auto, bits: Some(1.0), max_error: Some(0.1), ..options() }, "--max-error 0.1"),
+        (
+            EncodeOptions { codec: Codec::Auto, bits: Some(1.0), max_error: Some(0.1), ..options() },
+            "--max-error 0.1",
+        ),
         (EncodeOptions { codec: Codec::Vq, bits: Some(1.0), ..options() }, "--bits 1"),
         (EncodeOptions { codec: Codec::Auto, max_error: Some(-0.5), ..options() }, "--max-error -0.5"),
         (EncodeOptions { codec: Codec::Auto, max_error: Some(f64::NAN), ..options() }, "--max-error NaN"),

@@ -11,9 +11,19 @@ use chronoxel_core::{SampleType, SpanKind};
 use chronoxel_ingest::{Codec, EncodeError, EncodeOptions, decode_step, encode, measure};
 use chronoxel_store::{Store, verify};
 use common::{MemorySeries, noise};
-use files::files_of;
+use files::{copy_folder, files_of};
 
-const CODECS: [Codec; 3] = [Codec::Palette, Codec::Vq, Codec::Auto];
+/// Every codec that uses time, with a name for messages.
+fn codecs() -> [(&'static str, EncodeOptions); 5] {
+    let stages = Some(2);
+    [
+        ("palette", options(Codec::Palette)),
+        ("slice", options(Codec::PaletteSlice)),
+        ("vq", EncodeOptions { stages, ..options(Codec::Vq) }),
+        ("bound", EncodeOptions { max_error: Some(2e-3), ..options(Codec::Auto) }),
+        ("rate", EncodeOptions { bits: Some(2.5), ..options(Codec::Auto) }),
+    ]
+}
 
 /// Waves that move, noise, holes that come and go, a quiet corner, and steps without any data.
 fn moving(dims: [usize; 3], num_steps: usize) -> MemorySeries {
@@ -31,7 +41,6 @@ fn options(codec: Codec) -> EncodeOptions {
     EncodeOptions {
         codec,
         window: Some(4),
-        max_error: (codec == Codec::Auto).then_some(2e-3),
         brick_edge: 16,
         source_name: "moving".into(),
         ..EncodeOptions::default()
@@ -52,18 +61,18 @@ fn assert_sound(path: &Path) -> Store {
 #[test]
 fn windows_cover_every_step_of_every_node_out_of_phase() {
     let folder = tempfile::tempdir().unwrap();
-    for codec in CODECS {
+    for (name, options) in codecs() {
         for num_steps in [1, 2, 5, 11] {
-            let path = folder.path().join(format!("{}-{num_steps}.cxl", codec.name()));
+            let path = folder.path().join(format!("{name}-{num_steps}.cxl"));
             let mut series = moving([40, 33, 20], num_steps);
-            run(&mut series, &path, &options(codec)).unwrap();
+            run(&mut series, &path, &options).unwrap();
             let store = assert_sound(&path);
             assert!(store.is_complete());
             // Masks are exact; errors are those of a palette.
             let found = measure(&store, &mut series, 0..num_steps).unwrap();
             assert!(found.problems.is_empty(), "{:?}", found.problems);
-            let bound = if codec == Codec::Auto { 2e-3 } else { 0.5 };
-            assert!(found.variables[0].max_abs_error <= bound, "{codec:?}: {:?}", found.variables[0]);
+            let bound = options.max_error.unwrap_or(0.5);
+            assert!(found.variables[0].max_abs_error <= bound, "{name}: {:?}", found.variables[0]);
         }
     }
 }
@@ -88,22 +97,22 @@ fn a_step_replaces_about_one_payload_in_four() {
 #[test]
 fn threads_memory_and_the_scratch_file_do_not_change_a_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let mut series = moving([40, 50, 34], 6);
-    for codec in CODECS {
-        let tiny = EncodeOptions { memory_bytes: 1, ..options(codec) };
+    let mut series = moving([40, 33, 20], 6);
+    for (name, options) in codecs() {
+        let tiny = EncodeOptions { memory_bytes: 1, ..options.clone() };
         let least = match run(&mut series, &folder.path().join("x.cxl"), &tiny) {
             Err(EncodeError::Memory { needed, .. }) => needed,
             other => panic!("{other:?}"),
         };
         let mut expected = None;
         for (threads, memory_bytes) in [(1, 1 << 30), (4, 1 << 30), (1, least), (3, 3 * least)] {
-            let path = folder.path().join(format!("{}-{threads}-{memory_bytes}.cxl", codec.name()));
+            let path = folder.path().join(format!("{name}-{threads}-{memory_bytes}.cxl"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| run(&mut series, &path, &EncodeOptions { memory_bytes, ..options(codec) }))
-                .unwrap();
+            let options = EncodeOptions { memory_bytes, ..options.clone() };
+            pool.install(|| run(&mut series, &path, &options)).unwrap();
             let files = files_of(&path);
             let expected = expected.get_or_insert_with(|| files.clone());
-            assert!(*expected == files, "{codec:?}, {threads} threads, {memory_bytes} bytes");
+            assert!(*expected == files, "{name}, {threads} threads, {memory_bytes} bytes");
         }
     }
 }
@@ -111,25 +120,21 @@ fn threads_memory_and_the_scratch_file_do_not_change_a_byte() {
 #[test]
 fn a_resume_inside_windows_gives_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    for codec in [Codec::Palette, Codec::Auto] {
-        let whole = folder.path().join(format!("{}-whole.cxl", codec.name()));
-        let dims = [70, 65, 50];
+    for (name, options) in codecs() {
+        let path_of = |what: &str| folder.path().join(format!("{name}-{what}.cxl"));
         // The range grows: a bound that is relative to it must be the same after a resume.
-        let growing = |num_steps| {
-            let mut series = moving(dims, num_steps);
-            for (step, samples) in series.steps[0].iter_mut().enumerate() {
-                samples[0] = (1 + step * step) as f64;
-            }
-            series
-        };
-        let mut series = growing(10);
-        run(&mut series, &whole, &options(codec)).unwrap();
+        let mut series = moving([70, 50, 34], 10);
+        for (step, samples) in series.steps[0].iter_mut().enumerate() {
+            samples[0] = (1 + step * step) as f64;
+        }
+        run(&mut series, &path_of("whole"), &options).unwrap();
+        let whole = files_of(&path_of("whole"));
         for broken_step in [3, 9] {
-            let path = folder.path().join(format!("{}-{broken_step}.cxl", codec.name()));
+            let path = path_of("broken");
             series.broken_step = Some(broken_step);
-            let error = run(&mut series, &path, &options(codec)).unwrap_err();
+            let error = run(&mut series, &path, &options).unwrap_err();
             series.broken_step = None;
-            let kept = folder.path().join(format!("{}-{broken_step}.partial.cxl", codec.name()));
+            let kept = path_of("broken.partial");
             assert_eq!(kept.exists(), matches!(error, EncodeError::Interrupted { .. }), "{error}");
             if kept.exists() {
                 let found = Store::open(&kept).unwrap().header().num_steps_finished as usize;
@@ -137,13 +142,24 @@ fn a_resume_inside_windows_gives_the_same_bytes() {
                 assert!(found + 8 > broken_step && found <= broken_step, "{found} of {broken_step}");
             }
             series.slices_read.fill(0);
-            run(&mut series, &path, &EncodeOptions { resume: true, ..options(codec) }).unwrap();
+            run(&mut series, &path, &EncodeOptions { resume: true, ..options.clone() }).unwrap();
             if broken_step > 4 {
-                assert!(series.slices_read[..broken_step - 4].iter().all(|&n| n == 0), "{:?}", series.slices_read);
+                let read = &series.slices_read;
+                assert!(read[..broken_step - 4].iter().all(|&n| n == 0), "{name} reads {read:?}");
             }
-            assert!(files_of(&path) == files_of(&whole), "{codec:?}, broken at {broken_step}");
+            assert!(files_of(&path) == whole, "{name}, broken at {broken_step}");
             fs::remove_dir_all(&path).unwrap();
         }
+        // Killed in the middle of a step, that is: copied as it lies there.
+        let killed = path_of("killed");
+        encode(&mut series, &path_of("watched"), &options, &mut |done| {
+            if done.step == 7 && !killed.exists() {
+                copy_folder(&path_of("watched"), &killed);
+            }
+        })
+        .unwrap();
+        run(&mut series, &killed, &EncodeOptions { resume: true, ..options.clone() }).unwrap();
+        assert!(files_of(&killed) == whole, "{name}, killed");
     }
 }
 

@@ -72,6 +72,7 @@ impl StoreWriter {
         if last || self.unsynced_bytes >= SYNC_BYTES || self.unsynced.len() >= SYNC_FILES {
             self.sync()?;
         }
+        self.num_steps_committed = num_put;
         self.write_state()?;
         self.write_header()
     }
@@ -210,6 +211,7 @@ impl StoreWriter {
         }
         let summary = StateSummary {
             description_crc: self.description_crc,
+            num_steps_committed: self.num_steps_committed,
             num_steps_finished: self.header.num_steps_finished,
             totals: self.header.totals,
             ranges: self.header.variables.iter().map(|v| [v.min, v.max]).collect(),

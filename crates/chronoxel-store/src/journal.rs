@@ -22,6 +22,8 @@ const MAGIC: &[u8; 8] = b"CXLSTAT2";
 pub(crate) struct StateSummary {
     /// CRC-32C of the header's text before the first step: the description must be the same.
     pub description_crc: u32,
+    /// Steps below the one that was committed last, and it.
+    pub num_steps_committed: u32,
     pub num_steps_finished: u32,
     pub totals: Totals,
     pub ranges: Vec<[Option<f64>; 2]>,

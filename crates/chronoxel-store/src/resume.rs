@@ -88,6 +88,7 @@ impl StoreWriter {
         if summary.ranges.len() != writer.header.variables.len() {
             return Err(wrong("number of variables", summary.ranges.len()));
         }
+        writer.num_steps_committed = summary.num_steps_committed;
         writer.header.num_steps_finished = summary.num_steps_finished;
         writer.header.totals = summary.totals;
         writer.carry = summary.carry.clone();

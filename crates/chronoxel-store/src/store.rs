@@ -33,8 +33,9 @@ const CACHE_BYTES: usize = 64 << 20;
 const ABSENT_BYTES: usize = 64;
 /// Files that a store keeps open.
 const MAX_OPEN_FILES: usize = 200;
-/// Two reads of a shard become one where no more than this lies between them.
-const COALESCE_BYTES: u64 = 64 << 10;
+/// Two reads of a shard become one where no more than this lies between them: a page, since windows out of phase lie
+/// between each other, and playing them must not read the neighbours again at every step.
+const COALESCE_BYTES: u64 = 4 << 10;
 /// Longest single read of a shard.
 const MAX_READ_BYTES: u64 = 8 << 20;
 

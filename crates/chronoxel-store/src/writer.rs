@@ -38,6 +38,8 @@ pub struct StoreWriter {
     pub(crate) description_crc: u32,
     /// Steps committed, or below the one that a resume starts with.
     pub(crate) num_steps_put: u32,
+    /// What the last state of the journal holds. A resume starts before: what it reads again is committed already.
+    pub(crate) num_steps_committed: u32,
     /// `[variable][level][node]`: the step up to which spans were put.
     pub(crate) covered: Vec<Vec<Vec<u32>>>,
     /// In the order of `Header::each_window`.
@@ -114,6 +116,7 @@ impl StoreWriter {
             header,
             description_crc,
             num_steps_put: 0,
+            num_steps_committed: 0,
             covered,
             windows,
             digests: DigestTable::new(MAX_DIGESTS),
@@ -150,14 +153,15 @@ impl StoreWriter {
     }
 
     /// Says what the encoder must remember for a resume, a small value. It is kept in the journal from the next commit on
-    /// (every G steps, as [`Self::commit_step`] says), together with what that commit keeps, and is gone with the journal once the store is finished.
+    /// (every G steps, as [`Self::commit_step`] says), together with what that commit keeps; of a complete store nothing is kept.
     pub fn set_carry(&mut self, carry: Value) {
         self.carry = carry;
     }
 
     /// Appends a batch of spans of one variable and level. Each node's spans come in the order of time, without gaps;
     /// nodes come in any order that does not depend on threads or memory, since bytes are stored in the order of
-    /// arrival (Morton order within a step reads fastest).
+    /// arrival. Ordered by first step, then Morton index, they read fastest; at the end of a series, where windows of all
+    /// phases end at once, that matters.
     ///
     /// # Errors
     /// [`StoreError::InvalidArgument`] if a span does not follow the one before it or contradicts the description,
@@ -183,7 +187,8 @@ impl StoreWriter {
             let remedy = format!("steps {} to {} are left", self.num_steps_put, num_steps - 1);
             return Err(StoreError::invalid("step to commit", step, remedy));
         }
-        if num_put % self.header.steps_per_shard == 0 || num_put == num_steps {
+        let is_due = num_put % self.header.steps_per_shard == 0 || num_put == num_steps;
+        if is_due && num_put > self.num_steps_committed {
             self.begin()?;
             self.commit(num_put)?;
             self.failed = false;

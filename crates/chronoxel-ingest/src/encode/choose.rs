@@ -8,8 +8,8 @@
 
 use chronoxel_codec::bounded::{Cover, Lattice, Vectors};
 use chronoxel_codec::{
-    Payload, PayloadClass, SampleValue, Stage, StageClass, TableClass, decode_f64, decoded_range,
-    quantize_affine, stage_to_bytes,
+    Payload, PayloadClass, SampleValue, Stage, StageClass, TableClass, decode_f64, quantize_affine,
+    stage_to_bytes,
 };
 use chronoxel_core::{BitMask, BrickLayout};
 
@@ -54,6 +54,15 @@ pub struct Piece {
     pub drawn_range: [f64; 2],
 }
 
+/// Entries of the largest table.
+const MOST_ENTRIES: usize = 1024;
+
+/// The longest window coded with a static stage and a table: in longer ones too much remains for a table.
+const LONGEST_OF_TWO: u32 = 4;
+
+/// A multiplier that spreads the bits of keys.
+const MIX: u64 = 0x9E37_79B9_7F4A_7C15;
+
 /// Entries of the two sizes of listed tables, and the bits of their indices.
 const TABLES: [(u32, u8); 2] = [(256, 8), (1024, 16)];
 
@@ -68,7 +77,7 @@ pub fn classes(max_window: u32) -> Vec<PayloadClass> {
             shift: 0,
         };
         classes.extend(TABLES.map(|table| PayloadClass { stages: vec![listed(table)] }));
-        for bits in [8, 16] {
+        for bits in [8, 16].into_iter().filter(|_| rows <= LONGEST_OF_TWO) {
             let stages = |table| vec![StageClass::affine(bits), listed(table)];
             classes.extend(TABLES.map(|table| PayloadClass { stages: stages(table) }));
         }
@@ -91,9 +100,15 @@ pub fn within_bound<T: Real + SampleValue>(
     layout: &BrickLayout,
     stored_len: &(dyn Fn(&[u8]) -> usize + Sync),
 ) -> Result<Vec<Piece>, Refusal> {
-    let search = Search::new(node, bound, is_binding, layout, stored_len);
-    let best = search.best(0, node.window)?;
-    Ok(best.map_or_else(Vec::new, |found| found.pieces))
+    let mut search = Search::new(node, bound, is_binding, layout, stored_len);
+    if let Some(piece) = search.one_constant() {
+        return Ok(vec![piece]);
+    }
+    search.place_on_lattice();
+    let Some(found) = search.best(0, node.window)? else { return Ok(Vec::new()) };
+    let pieces: Result<Vec<Vec<Piece>>, Refusal> =
+        found.pieces.into_iter().map(|piece| search.checked(piece)).collect();
+    Ok(pieces?.concat())
 }
 
 struct Search<'a, T> {
@@ -102,13 +117,40 @@ struct Search<'a, T> {
     is_binding: bool,
     layout: &'a BrickLayout,
     stored_len: &'a (dyn Fn(&[u8]) -> usize + Sync),
-    /// One lattice for all steps, and their points; `None` where the bound is too small for it.
-    lattice: Option<(Lattice, Vec<Vec<u16>>)>,
+    /// Range of each step.
+    ranges: Vec<[f64; 2]>,
+    /// `None` where the bound is too small for it.
+    lattice: Option<Lattice>,
+    /// Set by [`Search::place_on_lattice`].
+    on_lattice: Option<OnLattice>,
+}
+
+/// The steps on one lattice.
+struct OnLattice {
+    lattice: Lattice,
+    /// The point of each sample, for each step.
+    points: Vec<Vec<u16>>,
+    /// The cell of each sample, for each step: cells are as wide as twice the bound.
+    cells: Vec<Vec<u16>>,
+}
+
+impl OnLattice {
+    fn new<T: Real + SampleValue>(node: &NodeWindow<'_, T>, lattice: Lattice) -> Self {
+        let width = lattice.width();
+        let points: Vec<Vec<u16>> = node.steps.iter().map(|step| lattice.points(step)).collect();
+        let cells = points.iter().map(|points| points.iter().map(|p| p / width).collect()).collect();
+        Self { lattice, points, cells }
+    }
+
+    /// The middle of cell number `cell`.
+    fn middle(&self, cell: u16) -> i32 {
+        i32::from(cell) * i32::from(self.lattice.width()) + i32::from(self.lattice.reach)
+    }
 }
 
 /// What is best for the steps in a run of places.
 struct Found {
-    pieces: Vec<Piece>,
+    pieces: Vec<Unchecked>,
     bytes: usize,
     run: Run,
 }
@@ -128,10 +170,36 @@ struct Run {
     has_cover: bool,
 }
 
+/// A piece that has not been compared with the samples yet.
+#[derive(Clone)]
+struct Unchecked {
+    start: usize,
+    len: usize,
+    window: u32,
+    content: Choice,
+}
+
+impl Unchecked {
+    fn new(run: &Run, window: u32, content: Choice) -> Self {
+        Self { start: run.start, len: run.len, window, content }
+    }
+}
+
 /// A payload and its price.
 struct Candidate {
     choice: Choice,
     bytes: usize,
+}
+
+impl Candidate {
+    fn constant(value: f64) -> Self {
+        Self { choice: Choice::Constant(value), bytes: RECORD_BYTES }
+    }
+}
+
+/// The range that holds all of some ranges.
+fn joint(ranges: &[[f64; 2]]) -> [f64; 2] {
+    ranges.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, [low, high]| [r[0].min(*low), r[1].max(*high)])
 }
 
 impl<'a, T: Real + SampleValue> Search<'a, T> {
@@ -142,16 +210,29 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         layout: &'a BrickLayout,
         stored_len: &'a (dyn Fn(&[u8]) -> usize + Sync),
     ) -> Self {
-        let ranges = node.steps.iter().map(|step| range_of(step));
-        let [low, high] = ranges.fold([f64::INFINITY, f64::NEG_INFINITY], |r, (low, high)| {
-            [r[0].min(low.to_f64()), r[1].max(high.to_f64())]
-        });
-        let lattice = Lattice::within([low, high], bound, node.whole_numbers).map(|lattice| {
-            let lattice =
-                lattice.moved_to(node.steps.iter().flat_map(|s| s.iter().step_by(SAMPLED).copied()));
-            (lattice, node.steps.iter().map(|step| lattice.points(step)).collect())
-        });
-        Self { node, bound, is_binding, layout, stored_len, lattice }
+        let ends = |step: &&[T]| {
+            let (low, high) = range_of(step);
+            [low.to_f64(), high.to_f64()]
+        };
+        let ranges: Vec<[f64; 2]> = node.steps.iter().map(ends).collect();
+        let some = node.steps.iter().flat_map(|step| step.iter().step_by(SAMPLED).copied());
+        let lattice = Lattice::within(joint(&ranges), bound, node.whole_numbers);
+        let lattice = lattice.map(|lattice| lattice.moved_to(some));
+        Self { node, bound, is_binding, layout, stored_len, ranges, lattice, on_lattice: None }
+    }
+
+    /// The one piece of a window that is constant, in space and time: a short cut to what the search would find.
+    fn one_constant(&self) -> Option<Piece> {
+        let (len, masks) = (self.node.steps.len(), &self.node.masks);
+        let alike = len > 0 && masks.iter().all(|mask| *mask == masks[0]);
+        let value = alike.then(|| self.constant(joint(&self.ranges))).flatten()?;
+        let (first, last) = (self.node.lead as u32, (self.node.lead + len - 1) as u32);
+        let window = std::iter::successors(Some(1), |w| Some(2 * w)).find(|w| first / w == last / w)?;
+        Some(Piece { start: 0, len, window, content: Choice::Constant(value), drawn_range: [value; 2] })
+    }
+
+    fn place_on_lattice(&mut self) {
+        self.on_lattice = self.lattice.map(|lattice| OnLattice::new(self.node, lattice));
     }
 
     /// The best for places `place .. place + window`; `None` where no step is there.
@@ -168,38 +249,34 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         };
         let mut run = self.join(&a.run, &b.run);
         let bytes = a.bytes + b.bytes;
-        let joined = if self.may_join(&a.run, &b.run) { self.joined(&mut run, window, bytes)? } else { None };
+        let joined = if self.may_join(&a.run, &b.run) { self.joined(&mut run, window, bytes) } else { None };
         Ok(Some(match joined {
-            Some((piece, bytes)) => Found { pieces: vec![piece], bytes, run },
+            Some(Candidate { choice, bytes }) => {
+                Found { pieces: vec![Unchecked::new(&run, window, choice)], bytes, run }
+            }
             None => Found { pieces: [a.pieces, b.pieces].concat(), bytes, run },
         }))
     }
 
     fn single(&self, at: usize) -> Result<Found, Refusal> {
-        let (low, high) = range_of(self.node.steps[at]);
-        let points = self.lattice.as_ref().map_or(&[][..], |(_, points)| &points[at]);
-        let vectors = self.lattice.as_ref().filter(|_| self.node.window > 1).and_then(|(lattice, points)| {
-            let width = lattice.width();
-            Vectors::of_keys(points[at].iter().map(|&p| u64::from(p / width)), 1024)
-        });
+        let points = self.on_lattice.as_ref().map(|on| on.points[at].clone()).unwrap_or_default();
+        let cells = self.on_lattice.as_ref().filter(|_| self.node.window > 1).map(|on| &on.cells[at]);
         let run = Run {
             start: at,
             len: 1,
-            range: [low.to_f64(), high.to_f64()],
-            low: points.to_vec(),
-            high: points.to_vec(),
-            vectors,
+            range: self.ranges[at],
+            low: points.clone(),
+            high: points,
+            vectors: cells.and_then(|c| Vectors::of_keys(c.iter().map(|&cell| cell.into()), MOST_ENTRIES)),
             has_cover: true,
         };
-        let candidate = match self.constant(&run) {
-            Some(constant) => constant,
-            None => match self.fixed(&run)? {
-                Some(candidate) => candidate,
-                None => self.affine_within_range(at)?,
-            },
+        let constant = self.constant(run.range).map(Candidate::constant);
+        let candidate = match constant.or_else(|| self.fixed(&run)) {
+            Some(candidate) => candidate,
+            None => self.affine_within_range(at)?,
         };
         let bytes = candidate.bytes;
-        Ok(Found { pieces: vec![self.piece(&run, 1, candidate.choice)?], bytes, run })
+        Ok(Found { pieces: vec![Unchecked::new(&run, 1, candidate.choice)], bytes, run })
     }
 
     /// Whether two runs may share a span: all their masks are alike.
@@ -214,194 +291,191 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         Run {
             start: a.start,
             len: a.len + b.len,
-            range: [a.range[0].min(b.range[0]), a.range[1].max(b.range[1])],
+            range: joint(&[a.range, b.range]),
             low: a.low.iter().zip(&b.low).map(smaller).collect(),
             high: a.high.iter().zip(&b.high).map(larger).collect(),
-            vectors: a.vectors.as_ref().zip(b.vectors.as_ref()).and_then(|(a, b)| a.joined(b, 1024)),
+            vectors: a.vectors.as_ref().zip(b.vectors.as_ref()).and_then(|(a, b)| a.joined(b, MOST_ENTRIES)),
             has_cover: a.has_cover && b.has_cover,
         }
     }
 
     /// One piece for a run of several steps, if that takes fewer bytes than `bytes`.
-    fn joined(&self, run: &mut Run, window: u32, bytes: usize) -> Result<Option<(Piece, usize)>, Refusal> {
-        let mut best: Option<Candidate> = None;
-        let mut take = |candidate: Option<Candidate>| {
-            if let Some(new) = candidate
-                && new.bytes < best.as_ref().map_or(bytes, |best| best.bytes)
-            {
-                best = Some(new);
-            }
+    fn joined(&self, run: &mut Run, window: u32, bytes: usize) -> Option<Candidate> {
+        let candidates = match self.constant(run.range) {
+            Some(value) => vec![Some(Candidate::constant(value))],
+            None => vec![
+                self.fixed(run),
+                self.vector_table(run, window),
+                self.box_table(run, window),
+                self.fixed_and_table(run, window),
+            ],
         };
-        match self.constant(run) {
-            Some(constant) => take(Some(constant)),
-            None => {
-                take(self.fixed(run)?);
-                take(self.vector_table(run, window)?);
-                take(self.box_table(run, window)?);
-                take(self.fixed_and_table(run, window)?);
-            }
-        }
-        best.map(|best| Ok((self.piece(run, window, best.choice)?, best.bytes))).transpose()
+        // Of equal ones the first.
+        candidates.into_iter().flatten().filter(|c| c.bytes < bytes).min_by_key(|c| c.bytes)
     }
 
-    fn constant(&self, run: &Run) -> Option<Candidate> {
-        let [low, high] = run.range;
+    /// A value within the bound of all samples of a range.
+    fn constant(&self, [low, high]: [f64; 2]) -> Option<f64> {
         let holds = |value: &f64| value - low <= self.bound && high - value <= self.bound;
-        let ends = |(lattice, _): &(Lattice, _)| {
-            let ends = run.low.iter().min().zip(run.high.iter().max())?;
-            Some(lattice.value(lattice.point_for([ends.0, ends.1].map(|&p| p.into()))))
-        };
-        // Where there is a choice, what the lattice has in the middle of a cell.
-        let value = match low == high {
-            true => Some(low),
-            false => {
-                let middle = Some(0.5 * low + 0.5 * high).filter(holds);
-                middle.and_then(|_| self.lattice.as_ref().and_then(ends).filter(holds)).or(middle)
-            }
-        };
-        Some(Candidate { choice: Choice::Constant(value?), bytes: RECORD_BYTES })
-    }
-
-    /// One step with 16 bits of its own range.
-    fn affine_within_range(&self, at: usize) -> Result<Candidate, Refusal> {
-        let stage =
-            quantize_affine(self.node.steps[at], self.node.whole_numbers, 16).map_err(Refusal::Codec)?;
-        let stages = vec![stage];
-        let bytes = self.stored(&stages);
-        let payload = Payload { stages };
-        let error = if self.is_binding { self.largest_error(at, 1, &payload)? } else { 0.0 };
-        if error > self.bound {
-            return Err(Refusal::Bound { error, bound: self.bound });
+        if low == high {
+            return Some(low);
         }
-        Ok(Candidate { choice: Choice::Coded(payload), bytes })
+        let middle = Some(0.5 * low + 0.5 * high).filter(holds)?;
+        // Where there is a choice, what the lattice has in the middle of a cell.
+        let of_lattice = self.lattice.map(|lattice| {
+            let ends = lattice.points(&[low, high]);
+            lattice.value(lattice.point_for([ends[0], ends[1]].map(i32::from)))
+        });
+        of_lattice.filter(holds).or(Some(middle))
     }
 
     /// One index per sample that serves all steps.
-    fn fixed(&self, run: &Run) -> Result<Option<Candidate>, Refusal> {
-        let Some((lattice, _)) = &self.lattice else { return Ok(None) };
+    fn fixed(&self, run: &Run) -> Option<Candidate> {
+        let Some(OnLattice { lattice, cells, .. }) = &self.on_lattice else {
+            let steps = &self.node.steps[run.start..run.start + run.len];
+            let alike = run.len > 1 && steps.iter().all(|step| *step == steps[0]);
+            return alike.then(|| self.affine_within_range(run.start).ok()).flatten();
+        };
+        if run.len == 1 {
+            let first = i32::from(lattice.reach);
+            return Some(self.priced(vec![lattice.affine_stage(first, lattice.width(), &cells[run.start])]));
+        }
         let variation = run.low.iter().zip(&run.high).map(|(&low, &high)| high - low).max().unwrap_or(0);
         if variation >= lattice.width() {
-            return Ok(None);
+            return None;
         }
         let step = lattice.width() - variation;
         let [reach, step_wide] = [lattice.reach, step].map(i32::from);
         let mut last = 0u16;
-        let indices: Vec<u16> = run
-            .low
-            .iter()
-            .zip(&run.high)
-            .map(|(&low, &high)| {
-                let [least, most] = [i32::from(high) - reach, i32::from(low) + reach];
-                let kept = i32::from(last) * step_wide + reach;
-                if kept < least || kept > most {
-                    // The range has `step` points or more.
-                    last = ((most - reach) / step_wide) as u16;
-                }
-                last
-            })
-            .collect();
-        self.checked(run, vec![lattice.affine_stage(reach, step, &indices)])
+        let index = |(&low, &high): (&u16, &u16)| {
+            let [least, most] = [i32::from(high) - reach, i32::from(low) + reach];
+            let kept = i32::from(last) * step_wide + reach;
+            if kept < least || kept > most {
+                // The nearest to the middle; there are `step` points or more to choose from.
+                last = (((least + most) / 2 - reach + step_wide / 2).max(0) / step_wide) as u16;
+            }
+            last
+        };
+        let indices: Vec<u16> = run.low.iter().zip(&run.high).map(index).collect();
+        Some(self.priced(vec![lattice.affine_stage(reach, step, &indices)]))
     }
 
     /// A table of the distinct vectors of cells.
-    fn vector_table(&self, run: &mut Run, window: u32) -> Result<Option<Candidate>, Refusal> {
-        let (Some((lattice, _)), Some(vectors)) = (&self.lattice, run.vectors.clone()) else {
-            return Ok(None);
-        };
-        let cover = vectors.cover(&self.centres(lattice, run));
-        self.checked(run, vec![cover.listed_stage(lattice, window as usize)])
+    fn vector_table(&self, run: &Run, window: u32) -> Option<Candidate> {
+        let (on, vectors) = (self.on_lattice.as_ref()?, run.vectors.clone()?);
+        let middle = |step: usize, sample: usize| on.middle(on.cells[run.start + step][sample]);
+        let cover = vectors.into_cover(run.len, middle);
+        self.canonical(vec![cover.listed_stage(&on.lattice, window as usize)])
     }
 
     /// A table of one vector of points for each of a few boxes that hold the vectors of all samples.
-    fn box_table(&self, run: &mut Run, window: u32) -> Result<Option<Candidate>, Refusal> {
-        let Some((lattice, points)) = &self.lattice else { return Ok(None) };
-        if !run.has_cover || window < 4 || lattice.reach == 0 {
-            return Ok(None);
+    fn box_table(&self, run: &mut Run, window: u32) -> Option<Candidate> {
+        let on = self.on_lattice.as_ref()?;
+        if !run.has_cover || window < 4 || on.lattice.reach == 0 {
+            return None;
         }
-        let steps: Vec<Vec<i32>> = points[run.start..run.start + run.len]
-            .iter()
-            .map(|points| points.iter().map(|&p| i32::from(p)).collect())
-            .collect();
-        let Some(cover) = Cover::of_steps(&steps, self.layout.full_edge(), lattice, 1024) else {
-            run.has_cover = false;
-            return Ok(None);
-        };
-        self.checked(run, vec![cover.listed_stage(lattice, window as usize)])
-    }
-
-    /// For each step of a run the middle of the cell of each sample.
-    fn centres(&self, lattice: &Lattice, run: &Run) -> Vec<Vec<i32>> {
-        let [width, reach] = [lattice.width(), lattice.reach];
-        let centre = |&p: &u16| i32::from(p / width * width + reach);
-        let points = self.lattice.iter().flat_map(|(_, points)| &points[run.start..run.start + run.len]);
-        points.map(|step| step.iter().map(centre).collect()).collect()
+        let points = &on.points[run.start..run.start + run.len];
+        let cover = Cover::of_steps(points, self.layout.full_edge(), &on.lattice, MOST_ENTRIES);
+        run.has_cover = cover.is_some();
+        self.canonical(vec![cover?.listed_stage(&on.lattice, window as usize)])
     }
 
     /// A static stage of the middle over the steps, and a table of what remains.
-    fn fixed_and_table(&self, run: &Run, window: u32) -> Result<Option<Candidate>, Refusal> {
-        let Some((lattice, _)) = &self.lattice else { return Ok(None) };
-        let width = lattice.width();
-        let cells: Vec<u16> =
-            run.low.iter().zip(&run.high).map(|(&low, &high)| (low / width + high / width) / 2).collect();
-        let middle = |cell: u16| i32::from(cell * width + lattice.reach);
-        let rest: Vec<Vec<i32>> = self
-            .centres(lattice, run)
-            .iter()
-            .map(|step| step.iter().zip(&cells).map(|(&p, &cell)| p - middle(cell)).collect())
-            .collect();
-        let mut keys = vec![0u64; cells.len()];
-        for step in &rest {
-            keys.iter_mut().zip(step).for_each(|(key, &r)| {
-                *key = (key.rotate_left(23) ^ r as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            });
+    fn fixed_and_table(&self, run: &Run, window: u32) -> Option<Candidate> {
+        let on = self.on_lattice.as_ref()?;
+        let few = run.vectors.as_ref().is_some_and(|vectors| vectors.firsts.len() <= 256);
+        if few || window > LONGEST_OF_TWO {
+            return None;
         }
-        let Some(vectors) = Vectors::of_keys(keys.into_iter(), 1024) else { return Ok(None) };
-        let around_zero = Lattice { offset: 0.0, ..*lattice };
-        let table = vectors.cover(&rest).listed_stage(&around_zero, window as usize);
-        self.checked(run, vec![lattice.affine_stage(i32::from(lattice.reach), width, &cells), table])
+        let width = on.lattice.width();
+        let steps = &on.cells[run.start..run.start + run.len];
+        let mut low = steps[0].clone();
+        let mut static_cells = steps[0].clone();
+        for step in &steps[1..] {
+            low.iter_mut().zip(step).for_each(|(low, &cell)| *low = cell.min(*low));
+            static_cells.iter_mut().zip(step).for_each(|(high, &cell)| *high = cell.max(*high));
+        }
+        static_cells.iter_mut().zip(&low).for_each(|(high, &low)| *high = high.midpoint(low));
+        let mut keys = vec![0u64; static_cells.len()];
+        for step in steps {
+            for ((key, &cell), &middle) in keys.iter_mut().zip(step).zip(&static_cells) {
+                *key = (key.rotate_left(23) ^ (i64::from(cell) - i64::from(middle)) as u64).wrapping_mul(MIX);
+            }
+        }
+        let vectors = Vectors::of_keys(keys.into_iter(), MOST_ENTRIES)?;
+        let rest = |step: usize, i: usize| on.middle(steps[step][i]) - on.middle(static_cells[i]);
+        let around_zero = Lattice { offset: 0.0, ..on.lattice };
+        let table = vectors.into_cover(run.len, rest).listed_stage(&around_zero, window as usize);
+        let first = i32::from(on.lattice.reach);
+        self.canonical(vec![on.lattice.affine_stage(first, width, &static_cells), table])
     }
 
-    /// The candidate of these stages, if it holds the bound.
-    fn checked(&self, run: &Run, stages: Vec<Stage>) -> Result<Option<Candidate>, Refusal> {
+    /// One step with 16 bits of its own range.
+    fn affine_within_range(&self, at: usize) -> Result<Candidate, Refusal> {
+        let stage = quantize_affine(self.node.steps[at], self.node.whole_numbers, 16);
+        Ok(self.priced(vec![stage.map_err(Refusal::Codec)?]))
+    }
+
+    fn canonical(&self, stages: Vec<Stage>) -> Option<Candidate> {
         let stages: Result<Vec<Stage>, _> =
             stages.into_iter().map(|stage| stage.into_canonical(self.layout)).collect();
-        let payload = Payload { stages: stages.map_err(Refusal::Codec)? };
-        if self.largest_error(run.start, run.len, &payload)? > self.bound {
-            return Ok(None);
-        }
-        let bytes = self.stored(&payload.stages);
-        Ok(Some(Candidate { choice: Choice::Coded(payload), bytes }))
+        Some(self.priced(stages.ok()?))
     }
 
-    fn stored(&self, stages: &[Stage]) -> usize {
+    fn priced(&self, stages: Vec<Stage>) -> Candidate {
         let stored = |stage| (self.stored_len)(&stage_to_bytes(stage, self.layout));
-        RECORD_BYTES + stages.iter().map(stored).sum::<usize>()
+        // With one place there is nothing to compare.
+        let counted = if self.node.window > 1 { &stages[..] } else { &[] };
+        let bytes = RECORD_BYTES + counted.iter().map(stored).sum::<usize>();
+        Candidate { choice: Choice::Coded(Payload { stages }), bytes }
     }
 
-    /// The largest difference between an unmasked sample and its decoded value.
-    fn largest_error(&self, start: usize, len: usize, payload: &Payload) -> Result<f64, Refusal> {
-        let mut largest = 0.0f64;
+    /// Checks a piece sample by sample on what it decodes to. Where that is beyond the bound, its steps get 16 bits each.
+    fn checked(&self, piece: Unchecked) -> Result<Vec<Piece>, Refusal> {
+        let Unchecked { start, len, window, content } = piece;
+        let (error, drawn_range) = self.error_and_range(start, len, &content)?;
+        if error <= self.bound || len == 1 && !self.is_binding {
+            return Ok(vec![Piece { start, len, window, content, drawn_range }]);
+        }
+        let single = |at: usize| {
+            let content = self.affine_within_range(at)?.choice;
+            let (error, drawn_range) = self.error_and_range(at, 1, &content)?;
+            if self.is_binding && error > self.bound {
+                return Err(Refusal::Bound { error, bound: self.bound });
+            }
+            Ok(Piece { start: at, len: 1, window: 1, content, drawn_range })
+        };
+        (start..start + len).map(single).collect()
+    }
+
+    /// The largest difference between an unmasked sample and its decoded value, and the range of the decoded samples.
+    fn error_and_range(
+        &self,
+        start: usize,
+        len: usize,
+        content: &Choice,
+    ) -> Result<(f64, [f64; 2]), Refusal> {
+        let Choice::Coded(payload) = content else {
+            // A constant was chosen by the range of all samples.
+            let Choice::Constant(value) = content else { return Ok((0.0, [f64::NAN; 2])) };
+            return Ok((0.0, [*value; 2]));
+        };
+        let mut error = 0.0f64;
+        let mut range = [f64::INFINITY, f64::NEG_INFINITY];
         for row in 0..len {
             let decoded = decode_f64(payload, self.layout, row as u32).map_err(Refusal::Codec)?;
             let mask = self.node.masks[start + row];
-            for (at, (sample, decoded)) in self.node.steps[start + row].iter().zip(decoded).enumerate() {
-                let error = (decoded - sample.to_f64()).abs();
-                if error > largest && mask.is_none_or(|mask| !mask.get(at)) {
-                    largest = error;
+            for (at, (sample, &decoded)) in self.node.steps[start + row].iter().zip(&decoded).enumerate() {
+                range = [range[0].min(decoded), range[1].max(decoded)];
+                let difference = (decoded - sample.to_f64()).abs();
+                if difference > error && mask.is_none_or(|mask| !mask.get(at)) {
+                    error = difference;
                 }
             }
         }
-        Ok(largest)
-    }
-
-    fn piece(&self, run: &Run, window: u32, content: Choice) -> Result<Piece, Refusal> {
-        let drawn_range = match &content {
-            Choice::Empty => [f64::NAN; 2],
-            Choice::Constant(value) => [*value; 2],
-            Choice::Coded(payload) => {
-                decoded_range(payload, self.layout, run.len as u32).map_err(Refusal::Codec)?
-            }
-        };
-        Ok(Piece { start: run.start, len: run.len, window, content, drawn_range })
+        Ok((error, range))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -23,6 +23,30 @@ pub struct NodeSteps<T> {
     pub core: Vec<u32>,
 }
 
+/// Consecutive steps of a node's window that are alike: places `place .. place + width` of it, as far as they exist.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Section<T> {
+    /// Its steps, counted from the window's first that exists.
+    pub steps: std::ops::Range<usize>,
+    /// Its first place.
+    pub place: u32,
+    /// Its places: a power of two.
+    pub width: u32,
+    /// What it holds.
+    pub content: SectionContent<T>,
+}
+
+/// What a section holds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum SectionContent<T> {
+    /// No data at all.
+    Empty,
+    /// One value wherever there is data, under one mask.
+    Constant(T),
+    /// Samples that differ.
+    Samples,
+}
+
 /// Consecutive steps of a node, coded as one span.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Piece {
@@ -65,6 +89,38 @@ impl<T: Real> NodeSteps<T> {
         index(place)..index(place + width)
     }
 
+    /// The window as sections, halved until every step of each has data or none has, and with `one_mask` the same mask.
+    pub fn sections(&self, window: u32, one_mask: bool) -> Vec<Section<T>> {
+        let mut sections = Vec::new();
+        self.add_sections(0, window, one_mask, &mut sections);
+        sections
+    }
+
+    fn add_sections(&self, place: u32, width: u32, one_mask: bool, out: &mut Vec<Section<T>>) {
+        let steps = self.steps_at(place, width);
+        if steps.is_empty() {
+            return;
+        }
+        let same_mask = steps.clone().all(|step| self.masks[step] == self.masks[steps.start]);
+        let num_empty = steps.clone().filter(|&step| self.samples[step].is_none()).count();
+        let constant = if num_empty == 0 && same_mask { self.constant(steps.clone()) } else { None };
+        let content = match constant {
+            _ if num_empty == steps.len() => SectionContent::Empty,
+            Some(value) => SectionContent::Constant(value),
+            None if num_empty == 0 && (same_mask || !one_mask) => SectionContent::Samples,
+            None => {
+                self.add_sections(place, width / 2, one_mask, out);
+                return self.add_sections(place + width / 2, width / 2, one_mask, out);
+            }
+        };
+        out.push(Section { steps, place, width, content });
+    }
+
+    /// The samples of steps that all have data.
+    pub fn samples_of(&self, steps: std::ops::Range<usize>) -> Vec<&[T]> {
+        self.samples[steps].iter().flatten().map(Vec::as_slice).collect()
+    }
+
     /// Samples that tables of some steps with one mask are trained on: of the core, where any of it has data.
     pub fn trained(&self, first: usize) -> Vec<u32> {
         let Some(mask) = &self.masks[first] else { return self.core.clone() };
@@ -92,6 +148,24 @@ impl<T: Real> NodeSteps<T> {
         };
         let first = value(steps.start)?;
         steps.into_iter().all(|step| value(step).is_some_and(|v| v.same_bits(first))).then_some(first)
+    }
+}
+
+impl<T: Real> Section<T> {
+    /// The piece of a section without samples that differ.
+    pub fn piece(&self) -> Option<Piece> {
+        let (choice, drawn_range) = match self.content {
+            SectionContent::Empty => (Choice::Empty, [f64::NAN; 2]),
+            SectionContent::Constant(value) => (Choice::Constant(value.to_f64()), [value.to_f64(); 2]),
+            SectionContent::Samples => return None,
+        };
+        Some(Piece {
+            start: self.steps.start,
+            len: self.steps.len(),
+            window: self.width,
+            choice,
+            drawn_range,
+        })
     }
 }
 

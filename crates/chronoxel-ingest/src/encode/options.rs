@@ -178,8 +178,8 @@ impl EncodeOptions {
             if !(1..=3).contains(&stages) {
                 return invalid("--stages", stages.to_string(), "use 1, 2 or 3");
             }
-            if matches!(self.codec, Codec::Raw | Codec::Auto) {
-                let remedy = format!("goes with palettes; --codec {codec} chooses by itself");
+            if !matches!(self.codec, Codec::Palette | Codec::Vq) {
+                let remedy = format!("goes with palette and vq; --codec {codec} chooses by itself");
                 return invalid("--stages", stages.to_string(), &remedy);
             }
         }
@@ -242,7 +242,8 @@ impl EncodeOptions {
         match (self.codec, self.max_error, self.bits) {
             (Codec::Palette, ..) => palettes(PaletteKind::Product),
             (Codec::Vq, ..) => palettes(PaletteKind::Vector),
-            (Codec::PaletteSlice, ..) => palettes(PaletteKind::Product),
+            (Codec::PaletteSlice, ..) => windows(8, Method::Slices),
+            (Codec::Auto, _, Some(bits)) => windows(8, Method::Rate { bits }),
             (Codec::Auto, Some(max_error), _) => windows(16, Method::Bound { max_error }),
             (Codec::Auto, ..) | (Codec::Raw, ..) => {
                 let bits = if variable.sample_type.num_bytes() == 1 { 8 } else { 16 };

@@ -65,6 +65,7 @@ impl How {
     pub fn copies(&self) -> u64 {
         match self {
             Self::Steps { .. } => 0,
+            Self::Windows { method: Method::Slices | Method::Rate { .. }, .. } => 6,
             // The samples, in units of their range, a residual, indices and tables.
             Self::Windows { method: Method::Palettes { .. }, .. } => 5,
             // The samples, the smallest and largest of them, points, payloads of all candidates.
@@ -73,10 +74,10 @@ impl How {
     }
 
     /// Classes that payloads may have.
-    pub fn classes(&self) -> Vec<PayloadClass> {
+    pub fn classes(&self, layout: &BrickLayout) -> Vec<PayloadClass> {
         match self {
             Self::Steps { bits } => vec![PayloadClass::affine(*bits)],
-            Self::Windows { window, method } => method.classes(*window),
+            Self::Windows { window, method } => method.classes(*window, layout),
         }
     }
 }
@@ -135,7 +136,7 @@ impl<'a> VariableEncoder<'a> {
                 }
             }
         };
-        Ok(Self { index, variable, coding, classes: coding.how.classes(), open, ranges })
+        Ok(Self { index, variable, coding, classes: coding.how.classes(layout), open, ranges })
     }
 
     /// Ranges of the source up to each of the last steps: what a resume needs.
@@ -271,6 +272,7 @@ impl VariableStep<'_> {
             zstd_level: writer.header().zstd_level,
             classes: self.classes,
             variable: &self.coding.name,
+            window,
             batch_nodes: *batch_nodes,
         };
         let mut put = |level, spans| Ok(writer.put(self.variable, level, spans)?);

@@ -18,6 +18,7 @@ use super::real::Real;
 use super::scratch::{Scratch, Waiting};
 use super::step::{CutBrick, TakeBatch};
 use super::timing::Timing;
+use super::{rate, slices};
 use crate::EncodeError;
 
 /// How windows are coded.
@@ -30,6 +31,13 @@ pub enum Method {
         /// Stages of each.
         num_stages: usize,
     },
+    /// As lum2001's palettes with one quantiser for each slice of the volume.
+    Slices,
+    /// With the least error at a rate.
+    Rate {
+        /// Stored bits per sample and step, on average.
+        bits: f64,
+    },
     /// In the fewest bytes that hold an error bound.
     Bound {
         /// Largest error, relative to the range.
@@ -39,9 +47,11 @@ pub enum Method {
 
 impl Method {
     /// Classes that payloads may have.
-    pub fn classes(&self, window: u32) -> Vec<PayloadClass> {
+    pub fn classes(&self, window: u32, layout: &BrickLayout) -> Vec<PayloadClass> {
         match self {
             Self::Palettes { num_stages, .. } => palettes::classes(window, *num_stages),
+            Self::Slices => slices::classes(window, layout),
+            Self::Rate { .. } => rate::classes(window),
             Self::Bound { .. } => choose::classes(window),
         }
     }
@@ -59,6 +69,15 @@ pub struct Arrival<T> {
 /// The steps of a node that wait.
 struct Open<T> {
     steps: Vec<(Analysis, Waiting<T>)>,
+}
+
+/// A node whose window is over.
+struct Loaded<T> {
+    rank: usize,
+    /// Its first step.
+    first: u32,
+    brick: [usize; 3],
+    steps: NodeSteps<T>,
 }
 
 /// The open windows of one variable.
@@ -87,6 +106,8 @@ pub struct NodeCoder<'a> {
     pub classes: &'a [PayloadClass],
     /// Name of the variable, for messages.
     pub variable: &'a str,
+    /// Steps of a window.
+    pub window: u32,
     /// Nodes coded at once. Changes memory and speed, never what comes out.
     pub batch_nodes: usize,
 }
@@ -143,10 +164,7 @@ impl<T: Real> OpenWindows<T> {
     ) -> Result<(), EncodeError> {
         let mut coded: Option<(u8, Vec<SpanWrite>)> = None;
         for level in 0..self.nodes.len() as u8 {
-            let phase = |rank: usize| self.timing.phase(coder.node(level, rank));
-            let is_closing = |rank: &usize| self.timing.closes(phase(*rank), step);
-            let ranks: Vec<usize> = (0..self.nodes[usize::from(level)].len()).filter(is_closing).collect();
-            for batch in ranks.chunks(coder.batch_nodes) {
+            for batch in &coder.closing(self.timing, level, step) {
                 let before = coded.take();
                 let (spans, written) = rayon::join(
                     || self.code_batch(level, batch, step, coder),
@@ -170,34 +188,56 @@ impl<T: Real> OpenWindows<T> {
         step: u32,
         coder: &NodeCoder<'_>,
     ) -> Result<Vec<SpanWrite>, EncodeError> {
-        let spans: Vec<Result<Vec<SpanWrite>, EncodeError>> =
-            ranks.par_iter().map(|&rank| self.code_node(level, rank, step, coder)).collect();
-        let spans: Result<Vec<Vec<SpanWrite>>, EncodeError> = spans.into_iter().collect();
-        Ok(spans?.into_iter().flatten().collect())
+        let refused = |loaded: &Loaded<T>, source| coder.refused(source, loaded.first, level, loaded.brick);
+        let load = |&rank: &usize| self.load(level, rank, step, coder);
+        let loaded: Result<Vec<Option<Loaded<T>>>, EncodeError> = match coder.method {
+            Method::Palettes { .. } | Method::Bound { .. } => {
+                let code = |rank: &usize| {
+                    let Some(loaded) = load(rank)? else { return Ok(Vec::new()) };
+                    let pieces =
+                        coder.pieces(level, &loaded.steps).map_err(|source| refused(&loaded, source))?;
+                    Ok(coder.spans(&loaded, pieces))
+                };
+                let spans: Vec<Result<Vec<SpanWrite>, EncodeError>> = ranks.par_iter().map(code).collect();
+                // In order, so that of several errors it is always the first.
+                return Ok(spans.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect());
+            }
+            Method::Rate { .. } | Method::Slices => {
+                let loaded: Vec<_> = ranks.par_iter().map(load).collect();
+                loaded.into_iter().collect()
+            }
+        };
+        let loaded: Vec<Loaded<T>> = loaded?.into_iter().flatten().collect();
+        let steps: Vec<&NodeSteps<T>> = loaded.iter().map(|loaded| &loaded.steps).collect();
+        let pieces = match coder.method {
+            Method::Rate { bits } => rate::pieces(&steps, bits * coder.level_share(), coder),
+            _ => slices::pieces(&steps, self.timing.window, coder.layout),
+        };
+        let pieces = pieces.map_err(|(at, source)| refused(&loaded[at], Refusal::Codec(source)))?;
+        let spans = loaded.iter().zip(pieces).map(|(loaded, pieces)| coder.spans(loaded, pieces));
+        Ok(spans.flatten().collect())
     }
 
-    fn code_node(
+    /// What waits of a node, padded where masked; `None` where nothing does.
+    fn load(
         &self,
         level: u8,
         rank: usize,
         step: u32,
         coder: &NodeCoder<'_>,
-    ) -> Result<Vec<SpanWrite>, EncodeError> {
+    ) -> Result<Option<Loaded<T>>, EncodeError> {
         let open = &self.nodes[usize::from(level)][rank];
-        let Some(before) = open.steps.len().checked_sub(1) else { return Ok(Vec::new()) };
+        let Some(before) = open.steps.len().checked_sub(1) else { return Ok(None) };
         let first = step - before as u32;
         let node = coder.node(level, rank);
         let brick = node.brick().map(|b| b as usize);
-        let lead = self.timing.place(self.timing.phase(node), first);
+        let lead = self.timing.place(coder.phase(self.timing, node), first);
         let samples = open.steps.iter().map(|(_, waiting)| self.samples(waiting, coder.layout));
         let samples = samples.collect::<Result<Vec<_>, _>>()?;
         let analyses = open.steps.iter().map(|(analysis, _)| *analysis).collect();
         let core = core_inside(brick, &coder.levels[usize::from(level)], coder.layout);
         let steps = NodeSteps::new(samples, analyses, lead, core, coder.layout);
-        let refused = |source| coder.refused(source, first, level, brick);
-        let mut pieces = Vec::new();
-        coder.pieces(level, &steps, 0, self.timing.window, &mut pieces).map_err(refused)?;
-        Ok(pieces.into_iter().map(|piece| coder.span(rank, first, &steps, piece)).collect())
+        Ok(Some(Loaded { rank, first, brick, steps }))
     }
 
     /// The samples of a step; `None` where all are masked.
@@ -222,67 +262,75 @@ impl NodeCoder<'_> {
         max_error * 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX)
     }
 
-    /// Codes the steps at places `place .. place + width` of a node: as one piece where that is possible, else in halves.
-    fn pieces<T: Real>(
-        &self,
-        level: u8,
-        node: &NodeSteps<T>,
-        place: u32,
-        width: u32,
-        out: &mut Vec<Piece>,
-    ) -> Result<(), Refusal> {
-        let steps = node.steps_at(place, width);
-        if steps.is_empty() {
-            return Ok(());
-        }
-        let piece = |choice, drawn_range| Piece {
-            start: steps.start,
-            len: steps.len(),
-            window: width,
-            choice,
-            drawn_range,
-        };
-        if steps.clone().all(|step| node.samples[step].is_none()) {
-            out.push(piece(Choice::Empty, [f64::NAN; 2]));
-            return Ok(());
-        }
-        let all_have_data = steps.clone().all(|step| node.samples[step].is_some());
-        let same_mask = |step: usize| node.masks[step] == node.masks[steps.start];
-        let may_differ = matches!(self.method, Method::Bound { .. });
-        if !all_have_data || !(may_differ || steps.clone().all(same_mask)) {
-            self.pieces(level, node, place, width / 2, out)?;
-            return self.pieces(level, node, place + width / 2, width / 2, out);
-        }
-        if let Some(value) = node.constant(steps.clone()).filter(|_| steps.clone().all(same_mask)) {
-            let value = value.to_f64();
-            out.push(piece(Choice::Constant(value), [value; 2]));
-            return Ok(());
-        }
+    /// Share of a rate that is left for each level, all levels together having more samples than the source.
+    fn level_share(&self) -> f64 {
+        let num_samples = |level: &LevelGeometry| level.dims.iter().map(|&n| n as f64).product::<f64>();
+        num_samples(&self.levels[0]) / self.levels.iter().map(num_samples).sum::<f64>()
+    }
+
+    /// Phase of a node: by layers of bricks where a whole slice is coded at once.
+    fn phase(&self, timing: Timing, node: NodeId) -> u32 {
         match self.method {
-            Method::Palettes { kind, num_stages } => {
-                let piece = palettes::piece(node, steps, width, kind, num_stages, self.layout);
-                out.push(piece.map_err(Refusal::Codec)?);
+            Method::Slices => node.brick()[2] % timing.window,
+            _ => timing.phase(node),
+        }
+    }
+
+    /// The nodes of a level whose windows end with a step, in batches of what is coded at once.
+    fn closing(&self, timing: Timing, level: u8, step: u32) -> Vec<Vec<usize>> {
+        let num_nodes = self.tree.nodes(level).len();
+        let closes = |&rank: &usize| timing.closes(self.phase(timing, self.node(level, rank)), step);
+        let mut ranks: Vec<usize> = (0..num_nodes).filter(closes).collect();
+        let layer = |rank: usize| self.node(level, rank).brick()[2];
+        match self.method {
+            Method::Slices => {
+                ranks.sort_by_key(|&rank| layer(rank));
+                ranks.chunk_by(|&a, &b| layer(a) == layer(b)).map(<[usize]>::to_vec).collect()
             }
-            Method::Bound { max_error } => {
-                let window = NodeWindow {
-                    steps: node.samples[steps.clone()].iter().flatten().map(Vec::as_slice).collect(),
-                    masks: node.masks[steps.clone()].iter().map(Option::as_ref).collect(),
-                    lead: node.lead.saturating_sub(place) as usize,
-                    window: width,
-                    whole_numbers: node.whole_numbers,
-                };
-                let stored = |bytes: &[u8]| stored_len(bytes, self.zstd_level);
-                let chosen = within_bound(&window, self.bound(max_error), level == 0, self.layout, &stored)?;
-                out.extend(chosen.into_iter().map(|p| Piece {
-                    start: steps.start + p.start,
-                    len: p.len,
-                    window: p.window,
-                    choice: p.content,
-                    drawn_range: p.drawn_range,
-                }));
+            Method::Rate { .. } => ranks.chunks(rate::GROUP).map(<[usize]>::to_vec).collect(),
+            _ => ranks.chunks(self.batch_nodes).map(<[usize]>::to_vec).collect(),
+        }
+    }
+
+    /// Codes a node by itself.
+    fn pieces<T: Real>(&self, level: u8, node: &NodeSteps<T>) -> Result<Vec<Piece>, Refusal> {
+        let one_mask = matches!(self.method, Method::Palettes { .. });
+        let mut pieces = Vec::new();
+        for section in node.sections(self.window, one_mask) {
+            match (section.piece(), self.method) {
+                (Some(piece), _) => pieces.push(piece),
+                (None, Method::Palettes { kind, num_stages }) => {
+                    let piece =
+                        palettes::piece(node, section.steps, section.width, kind, num_stages, self.layout);
+                    pieces.push(piece.map_err(Refusal::Codec)?);
+                }
+                (None, Method::Bound { max_error }) => {
+                    let stored = |bytes: &[u8]| stored_len(bytes, self.zstd_level);
+                    let window = NodeWindow {
+                        steps: node.samples_of(section.steps.clone()),
+                        masks: node.masks[section.steps.clone()].iter().map(Option::as_ref).collect(),
+                        lead: node.lead.saturating_sub(section.place) as usize,
+                        window: section.width,
+                        whole_numbers: node.whole_numbers,
+                    };
+                    let bound = self.bound(max_error);
+                    let chosen = within_bound(&window, bound, level == 0, self.layout, &stored)?;
+                    pieces.extend(chosen.into_iter().map(|p| Piece {
+                        start: section.steps.start + p.start,
+                        len: p.len,
+                        window: p.window,
+                        choice: p.content,
+                        drawn_range: p.drawn_range,
+                    }));
+                }
+                (None, Method::Rate { .. } | Method::Slices) => unreachable!("coded in groups"),
             }
         }
-        Ok(())
+        Ok(pieces)
+    }
+
+    fn spans<T: Real>(&self, loaded: &Loaded<T>, pieces: Vec<Piece>) -> Vec<SpanWrite> {
+        pieces.into_iter().map(|piece| self.span(loaded.rank, loaded.first, &loaded.steps, piece)).collect()
     }
 
     fn span<T: Real>(&self, rank: usize, first: u32, node: &NodeSteps<T>, piece: Piece) -> SpanWrite {

@@ -59,6 +59,9 @@ def decode(header, variable, level, step):
     bricks = {}
     for window in group["windows"]:
         folder = f"{group['folder']}/L{level}/W{window}"
+        if f"{folder}/spans" not in header["root"]:
+            assert header.get("sparse"), f"{folder}/spans is absent"
+            continue
         spans = header["root"][f"{folder}/spans"]
         fields = {name: i for i, name in enumerate(spans.attrs["fields"])}
         first = math.ceil(max(step + 1 - window, 0) / window)
