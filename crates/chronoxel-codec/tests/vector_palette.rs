@@ -249,18 +249,15 @@ fn every_instruction_set_finds_the_same_entries_and_costs() {
                     assert_eq!(nearest_with(set, vectors, &entries), plain, "{set:?}");
                 }
                 for (v, (&found, &cost)) in plain.indices.iter().zip(&plain.costs).enumerate() {
-                    let costs =
-                        entries.values.chunks_exact(num_steps).zip(&entries.prices).map(|(entry, price)| {
-                            let difference = |t: usize| f64::from(values[t * num_vectors + v] - entry[t]);
-                            (0..num_steps).map(|t| difference(t).powi(2)).sum::<f64>() + f64::from(*price)
-                        });
-                    let costs: Vec<f64> = costs.collect();
-                    let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
-                    assert!(
-                        (f64::from(cost) - least).abs() < 1e-4 && costs[usize::from(found)] < least + 1e-4
-                    );
-                    // Sums of few values are exact: ties go to the first.
-                    assert!(!few || costs.iter().position(|&c| c == least) == Some(usize::from(found)));
+                    let mut best = (0, f32::INFINITY);
+                    for (e, entry) in entries.values.chunks_exact(num_steps).enumerate() {
+                        let difference = |t: usize| values[t * num_vectors + v] - entry[t];
+                        let distance = (0..num_steps).map(|t| difference(t) * difference(t)).sum::<f32>();
+                        if distance + entries.prices[e] < best.1 {
+                            best = (e, distance + entries.prices[e]);
+                        }
+                    }
+                    assert_eq!((usize::from(found), cost), best);
                 }
             }
         }
