@@ -157,21 +157,24 @@ fn nearest_in<const N: usize>(set: InstructionSet, vectors: Vectors, entries: &E
         for t in 0..num_steps {
             let component = &vectors.values[t * vectors.len..][..vectors.len];
             let lanes = &mut blocks[t / N][t % N];
-            lanes.iter_mut().zip(places).for_each(|(lane, &at)| *lane = component[at as usize]);
+            // Lanes too many at the end repeat the first.
+            for (lane, place) in lanes.iter_mut().enumerate() {
+                *place = component[places.get(lane).unwrap_or(&places[0]).to_owned() as usize];
+            }
         }
         let of_places =
             |pick: fn(f32, f32) -> f32, first| places.iter().fold(first, |a, &at| pick(a, sums[at as usize]));
         let range = [of_places(f32::min, f32::INFINITY), of_places(f32::max, f32::NEG_INFINITY)];
         let (indices, costs) = match set {
-            InstructionSet::Plain => nearest_of_block(&blocks, places.len(), range, &sorted),
+            InstructionSet::Plain => nearest_of_block(&blocks, range, &sorted),
             // SAFETY: `nearest_with` has checked that the processor has the instructions.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { nearest_avx2(&blocks, places.len(), range, &sorted) },
+            InstructionSet::Avx2 => unsafe { nearest_avx2(&blocks, range, &sorted) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { nearest_avx512(&blocks, places.len(), range, &sorted) },
+            InstructionSet::Avx512 => unsafe { nearest_avx512(&blocks, range, &sorted) },
             #[cfg(not(target_arch = "x86_64"))]
-            _ => nearest_of_block(&blocks, places.len(), range, &sorted),
+            _ => nearest_of_block(&blocks, range, &sorted),
         };
         for ((&at, index), cost) in places.iter().zip(indices).zip(costs) {
             found.indices[at as usize] = index as u16;
@@ -204,22 +207,20 @@ fn order_of(sums: &[f32]) -> Vec<u32> {
 #[target_feature(enable = "avx2")]
 fn nearest_avx2<const N: usize>(
     blocks: &[Block<N>],
-    num_lanes: usize,
     range: [f32; 2],
     entries: &Sorted<N>,
 ) -> ([u32; LANES], [f32; LANES]) {
-    nearest_of_block(blocks, num_lanes, range, entries)
+    nearest_of_block(blocks, range, entries)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
 fn nearest_avx512<const N: usize>(
     blocks: &[Block<N>],
-    num_lanes: usize,
     range: [f32; 2],
     entries: &Sorted<N>,
 ) -> ([u32; LANES], [f32; LANES]) {
-    nearest_of_block(blocks, num_lanes, range, entries)
+    nearest_of_block(blocks, range, entries)
 }
 
 /// For each lane the entry of least cost, the first of several, and the cost.
@@ -229,12 +230,10 @@ fn nearest_avx512<const N: usize>(
 /// next one's sum is too far from all the block's to cost less than what the lanes have found.
 ///
 /// * `blocks`: runs of components of the vectors
-/// * `num_lanes`: lanes that hold vectors; of the others nothing is said
 /// * `range`: smallest and largest sum of the vectors
 #[inline(always)]
 fn nearest_of_block<const N: usize>(
     blocks: &[Block<N>],
-    num_lanes: usize,
     range: [f32; 2],
     entries: &Sorted<N>,
 ) -> ([u32; LANES], [f32; LANES]) {
@@ -264,7 +263,7 @@ fn nearest_of_block<const N: usize>(
             return (best.indices, best.costs);
         }
         let mut largest = 0.0f32;
-        for &cost in &best.costs[..num_lanes] {
+        for cost in best.costs {
             largest = if cost > largest { cost } else { largest };
         }
         // Computed costs are off by parts in a million.
@@ -273,7 +272,7 @@ fn nearest_of_block<const N: usize>(
 }
 
 /// Entries that are taken between two looks at how far to go.
-const AT_ONCE: usize = 4;
+const AT_ONCE: usize = 8;
 
 /// What the lanes have found.
 struct Best {
