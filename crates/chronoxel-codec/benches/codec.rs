@@ -4,6 +4,8 @@ use std::hint::black_box;
 
 use chronoxel_codec::{
     Indices, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident, decoded_range, product_palette,
+    vector_palette,
+    vq::{Entries, InstructionSet, Vectors, nearest_with},
 };
 use chronoxel_core::BrickLayout;
 use criterion::{Criterion, Throughput};
@@ -43,6 +45,29 @@ fn encode(criterion: &mut Criterion) {
         group.throughput(Throughput::Bytes((4 * num_steps * layout.num_core()) as u64));
         group.bench_function(format!("window {num_steps}"), |b| {
             b.iter(|| product_palette(black_box(&window), 8));
+        });
+    }
+}
+
+fn encode_vectors(criterion: &mut Criterion) {
+    let layout = BrickLayout::new(32).expect("a valid edge");
+    let mut group = criterion.benchmark_group("vector_palette");
+    for num_steps in [2, 4, 8, 16] {
+        let window = window(&layout, num_steps);
+        group.throughput(Throughput::Bytes((4 * num_steps * layout.num_core()) as u64));
+        group.bench_function(format!("window {num_steps}"), |b| {
+            b.iter(|| vector_palette(black_box(&window), 256));
+        });
+    }
+    let window = window(&layout, 8);
+    let vectors = Vectors { values: &window.values, len: window.num_samples() };
+    let palette = vector_palette(&window, 256);
+    let entry = |e: usize| (0..8).map(move |t| t * 256 + e);
+    let values = (0..256).flat_map(|e| entry(e).map(|at| palette.values[at])).collect();
+    let entries = Entries { values, prices: vec![0.0; 256] };
+    for set in InstructionSet::available() {
+        group.bench_function(format!("nearest of 256, window 8, {set:?}"), |b| {
+            b.iter(|| nearest_with(set, black_box(vectors), &entries));
         });
     }
 }
@@ -88,6 +113,7 @@ fn decode(criterion: &mut Criterion) {
 fn main() {
     let mut criterion = Criterion::default().configure_from_args();
     encode(&mut criterion);
+    encode_vectors(&mut criterion);
     decode(&mut criterion);
     criterion.final_summary();
 }

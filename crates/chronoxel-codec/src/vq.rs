@@ -11,10 +11,14 @@ use std::collections::HashSet;
 
 pub use nearest::{Entries, InstructionSet, Nearest, Vectors, nearest, nearest_with};
 
-use crate::{Indices, Palette, UnitWindow};
+use chronoxel_core::BrickLayout;
 
-/// Vectors that are trained on, for each entry.
+use crate::{CodecError, Indices, Palette, Payload, ProductQuantizer, UnitWindow, product_palette};
+
+/// Vectors that are trained on, for each entry, but at least [`LEAST_TRAINED`] in all.
 const TRAINED_PER_ENTRY: usize = 24;
+/// See [`TRAINED_PER_ENTRY`].
+const LEAST_TRAINED: usize = 4096;
 /// Most rounds of Lloyd's iteration on the vectors that are trained on.
 const TRAINING_ROUNDS: usize = 8;
 /// Rounds over all trained samples of the window.
@@ -37,6 +41,32 @@ pub fn vector_palette(window: &UnitWindow, num_entries: usize) -> Palette {
     VectorTable::train(window, num_entries).palette()
 }
 
+/// Stages of vector palettes: each trained on what those before it leave, until nothing is left.
+///
+/// * `num_stages`: most stages, at least 1
+/// * `num_entries`: entries of each table
+/// * `num_rows`: rows of each table, at least the steps of the window
+///
+/// # Errors
+/// [`CodecError::InvalidArgument`] where the tables have fewer rows than the window has steps.
+pub fn code_stages(
+    window: &UnitWindow,
+    layout: &BrickLayout,
+    num_stages: usize,
+    num_entries: usize,
+    num_rows: usize,
+) -> Result<Payload, CodecError> {
+    let palette = vector_palette(window, num_entries);
+    let mut stages = vec![palette.to_stage(window, layout, num_entries, num_rows)?];
+    let mut left = window.residual(&palette);
+    while stages.len() < num_stages && left.width > 0.0 {
+        let palette = vector_palette(&left, num_entries);
+        stages.push(palette.to_stage(&left, layout, num_entries, num_rows)?);
+        left = left.residual(&palette);
+    }
+    Ok(Payload { stages })
+}
+
 /// A table trained on a window: what palettes of several prices of a bit are made from.
 #[derive(Debug, Clone)]
 pub struct VectorTable<'a> {
@@ -48,6 +78,8 @@ pub struct VectorTable<'a> {
     entries: Entries,
     /// Mean squared error of a vector, in the last round on the chosen ones.
     mean_cost: f64,
+    /// Entries that were asked for.
+    num_entries: usize,
     /// Whether every trained sample is an entry.
     exact: bool,
 }
@@ -57,7 +89,8 @@ impl<'a> VectorTable<'a> {
     pub fn train(window: &'a UnitWindow, num_entries: usize) -> Self {
         let num_entries = num_entries.clamp(1, 1 << 16);
         let core = gather(window, 1);
-        let stride = (window.trained.len() / (TRAINED_PER_ENTRY * num_entries)).max(1);
+        let num_chosen = (TRAINED_PER_ENTRY * num_entries).max(LEAST_TRAINED);
+        let stride = (window.trained.len() / num_chosen).max(1);
         let chosen = gather(window, stride);
         let mut table = Self {
             window,
@@ -65,6 +98,7 @@ impl<'a> VectorTable<'a> {
             chosen,
             entries: Entries { values: Vec::new(), prices: Vec::new() },
             mean_cost: 0.0,
+            num_entries,
             exact: false,
         };
         if let Some(values) = distinct_series(window, num_entries) {
@@ -85,15 +119,43 @@ impl<'a> VectorTable<'a> {
         2.0 * std::f64::consts::LN_2 / self.window.num_steps as f64 * self.mean_cost
     }
 
-    /// The palette of least squared error.
+    /// The palette of least squared error, never above that of the product palette of as many entries.
     pub fn palette(&self) -> Palette {
-        let mut entries = self.entries.clone();
-        if !self.exact {
-            for _ in 0..FULL_ROUNDS {
-                refine(self.vectors(&self.core), &mut entries);
-            }
+        if self.exact {
+            return self.assign(self.entries.clone());
         }
-        self.assign(entries)
+        let mut entries = self.entries.clone();
+        for _ in 0..FULL_ROUNDS {
+            refine(self.vectors(&self.core), &mut entries);
+        }
+        let palette = self.assign(entries);
+        self.unless_product_is_better(palette)
+    }
+
+    /// The palette, or where the product palette errs less, that.
+    ///
+    /// It is fitted to the whole window only where it comes close on the vectors that were trained on: on noise, whose
+    /// components have nothing to do with each other.
+    fn unless_product_is_better(&self, palette: Palette) -> Palette {
+        let bits = self.num_entries.ilog2().min(8);
+        let num_steps = self.window.num_steps;
+        let all: Vec<u32> = (0..(self.chosen.len() / num_steps) as u32).collect();
+        let product = ProductQuantizer::fit(&self.chosen, num_steps, &all, bits);
+        let indices: Vec<u16> = product.code(&self.chosen).into_iter().map(u16::from).collect();
+        let table = product.table();
+        let mut error = 0.0;
+        for (component, row) in
+            self.chosen.chunks_exact(indices.len()).zip(table.chunks_exact(product.num_entries()))
+        {
+            let difference = |(&x, &i): (&f32, &u16)| f64::from(x - row[usize::from(i)]);
+            error += component.iter().zip(&indices).map(|pair| difference(pair).powi(2)).sum::<f64>();
+        }
+        if error > PRODUCT_IS_FAR * self.mean_cost * indices.len() as f64 {
+            return palette;
+        }
+        let product = product_palette(self.window, bits);
+        let better = product.squared_error(self.window) < palette.squared_error(self.window);
+        if better { product } else { palette }
     }
 
     /// The palette of least squared error plus `slope` times the bits of its indices, these having the length of an ideal
@@ -135,6 +197,8 @@ impl<'a> VectorTable<'a> {
     }
 }
 
+/// Where a product palette errs this many times as much on the vectors trained on, it errs more on all.
+const PRODUCT_IS_FAR: f64 = 1.2;
 /// Most low bits that entries may lose.
 const MOST_SPARE_BITS: u32 = 10;
 

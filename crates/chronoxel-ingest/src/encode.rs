@@ -47,9 +47,6 @@ use step::Stepper;
 use stream::StreamPlan;
 use variable::{Coding, Places, StepTask, VariableEncoder};
 
-/// Level 3 saves little on bricks and costs twice the time.
-const ZSTD_LEVEL: i32 = 1;
-
 /// Encodes a series into the store `output`.
 ///
 /// Each step is read once, in order, front to back. Runs on the ambient rayon pool and one more thread, which reads
@@ -126,7 +123,7 @@ impl Job {
             layout,
             tree: Octree::full(&levels),
             variables: described.collect(),
-            zstd_level: ZSTD_LEVEL,
+            zstd_level: variables.iter().map(|(_, coding)| coding.how.zstd_level()).max().unwrap_or(1),
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };

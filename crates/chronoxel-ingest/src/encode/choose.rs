@@ -15,6 +15,7 @@ use chronoxel_core::{BitMask, BrickLayout};
 
 use super::analyse::range_of;
 use super::coding::{Choice, Refusal};
+use super::node::Piece;
 use super::real::Real;
 
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
@@ -39,19 +40,12 @@ pub struct NodeWindow<'a, T> {
     pub whole_numbers: bool,
 }
 
-/// A run of steps that becomes one span.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Piece {
-    /// Its first step, of those of the window that exist.
-    pub start: usize,
-    /// Its steps.
-    pub len: usize,
-    /// Its window length: 1, 2, 4 …; above `len` where the series begins or ends inside it.
-    pub window: u32,
-    /// Its payload: [`Choice::Constant`] or [`Choice::Coded`].
-    pub content: Choice,
-    /// Range of the decoded samples.
-    pub drawn_range: [f64; 2],
+impl<T> NodeWindow<'_, T> {
+    /// One of its steps by itself.
+    pub fn step(&self, at: usize) -> Self {
+        let Self { whole_numbers, .. } = *self;
+        Self { steps: vec![self.steps[at]], masks: vec![self.masks[at]], lead: 0, window: 1, whole_numbers }
+    }
 }
 
 /// Entries of the largest table.
@@ -176,12 +170,12 @@ struct Unchecked {
     start: usize,
     len: usize,
     window: u32,
-    content: Choice,
+    choice: Choice,
 }
 
 impl Unchecked {
-    fn new(run: &Run, window: u32, content: Choice) -> Self {
-        Self { start: run.start, len: run.len, window, content }
+    fn new(run: &Run, window: u32, choice: Choice) -> Self {
+        Self { start: run.start, len: run.len, window, choice }
     }
 }
 
@@ -228,7 +222,7 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
         let value = alike.then(|| self.constant(joint(&self.ranges))).flatten()?;
         let (first, last) = (self.node.lead as u32, (self.node.lead + len - 1) as u32);
         let window = std::iter::successors(Some(1), |w| Some(2 * w)).find(|w| first / w == last / w)?;
-        Some(Piece { start: 0, len, window, content: Choice::Constant(value), drawn_range: [value; 2] })
+        Some(Piece { start: 0, len, window, choice: Choice::Constant(value), drawn_range: [value; 2] })
     }
 
     fn place_on_lattice(&mut self) {
@@ -432,32 +426,27 @@ impl<'a, T: Real + SampleValue> Search<'a, T> {
 
     /// Checks a piece sample by sample on what it decodes to. Where that is beyond the bound, its steps get 16 bits each.
     fn checked(&self, piece: Unchecked) -> Result<Vec<Piece>, Refusal> {
-        let Unchecked { start, len, window, content } = piece;
-        let (error, drawn_range) = self.error_and_range(start, len, &content)?;
+        let Unchecked { start, len, window, choice } = piece;
+        let (error, drawn_range) = self.error_and_range(start, len, &choice)?;
         if error <= self.bound || len == 1 && !self.is_binding {
-            return Ok(vec![Piece { start, len, window, content, drawn_range }]);
+            return Ok(vec![Piece { start, len, window, choice, drawn_range }]);
         }
         let single = |at: usize| {
-            let content = self.affine_within_range(at)?.choice;
-            let (error, drawn_range) = self.error_and_range(at, 1, &content)?;
+            let choice = self.affine_within_range(at)?.choice;
+            let (error, drawn_range) = self.error_and_range(at, 1, &choice)?;
             if self.is_binding && error > self.bound {
                 return Err(Refusal::Bound { error, bound: self.bound });
             }
-            Ok(Piece { start: at, len: 1, window: 1, content, drawn_range })
+            Ok(Piece { start: at, len: 1, window: 1, choice, drawn_range })
         };
         (start..start + len).map(single).collect()
     }
 
     /// The largest difference between an unmasked sample and its decoded value, and the range of the decoded samples.
-    fn error_and_range(
-        &self,
-        start: usize,
-        len: usize,
-        content: &Choice,
-    ) -> Result<(f64, [f64; 2]), Refusal> {
-        let Choice::Coded(payload) = content else {
+    fn error_and_range(&self, start: usize, len: usize, choice: &Choice) -> Result<(f64, [f64; 2]), Refusal> {
+        let Choice::Coded(payload) = choice else {
             // A constant was chosen by the range of all samples.
-            let Choice::Constant(value) = content else { return Ok((0.0, [f64::NAN; 2])) };
+            let Choice::Constant(value) = choice else { return Ok((0.0, [f64::NAN; 2])) };
             return Ok((0.0, [*value; 2]));
         };
         let mut error = 0.0f64;

@@ -11,7 +11,7 @@ use super::coding::Choice;
 use super::node::{NodeSteps, Piece, Section};
 use super::palettes;
 use super::real::Real;
-use super::windowed::NodeCoder;
+use super::windowed::{CHOOSING_LEVEL, NodeCoder};
 
 /// Nodes that share a budget. Fixed, since what comes out depends on it.
 pub const GROUP: usize = 16;
@@ -108,7 +108,7 @@ fn choose<T: Real>(
 
 impl<T: Real> Coded<'_, T> {
     fn points(&self, slopes: &[f64], coder: &NodeCoder<'_>) -> Result<Vec<RatePoint>, CodecError> {
-        let stored = |bytes: &[u8]| stored_len(bytes, coder.zstd_level);
+        let stored = |bytes: &[u8]| stored_len(bytes, CHOOSING_LEVEL);
         let options = RateOptions {
             max_window: self.section.width,
             max_stages: MAX_STAGES,

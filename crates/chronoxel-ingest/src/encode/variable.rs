@@ -45,6 +45,15 @@ pub enum How {
 }
 
 impl How {
+    /// Level of zstd: payloads of whole windows are few against what is read, and may take longer to compress.
+    pub fn zstd_level(&self) -> i32 {
+        match self {
+            Self::Steps { .. } => 1,
+            Self::Windows { method: Method::Palettes { .. } | Method::Slices, .. } => 3,
+            Self::Windows { method: Method::Bound { .. } | Method::Rate { .. }, .. } => 9,
+        }
+    }
+
     /// Window lengths that spans may have.
     pub fn windows(&self) -> Vec<u32> {
         match self {
@@ -269,7 +278,6 @@ impl VariableStep<'_> {
             tree: stepper.tree,
             method,
             range: self.coding.range.unwrap_or(ranges[ranges.len() - 1]),
-            zstd_level: writer.header().zstd_level,
             classes: self.classes,
             variable: &self.coding.name,
             window,

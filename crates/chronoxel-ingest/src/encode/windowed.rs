@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::analyse::Analysis;
 use super::choose::{self, NodeWindow, within_bound};
 use super::coding::{Choice, Refusal};
-use super::node::{NodeSteps, Piece, core_inside};
+use super::node::{NodeSteps, Piece, Section, core_inside};
 use super::palettes::{self, PaletteKind};
 use super::real::Real;
 use super::scratch::{Scratch, Waiting};
@@ -20,6 +20,9 @@ use super::step::{CutBrick, TakeBatch};
 use super::timing::Timing;
 use super::{rate, slices};
 use crate::EncodeError;
+
+/// Level of zstd at which candidates are weighed: what is stored at a higher level ranks them alike, but for less time.
+pub const CHOOSING_LEVEL: i32 = 1;
 
 /// How windows are coded.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,8 +103,6 @@ pub struct NodeCoder<'a> {
     pub method: Method,
     /// The range that relative errors refer to.
     pub range: [f64; 2],
-    /// Level of zstd in the store.
-    pub zstd_level: i32,
     /// The classes that payloads may have.
     pub classes: &'a [PayloadClass],
     /// Name of the variable, for messages.
@@ -188,14 +189,17 @@ impl<T: Real> OpenWindows<T> {
         step: u32,
         coder: &NodeCoder<'_>,
     ) -> Result<Vec<SpanWrite>, EncodeError> {
-        let refused = |loaded: &Loaded<T>, source| coder.refused(source, loaded.first, level, loaded.brick);
+        let refused = |loaded: &Loaded<T>, at: usize, refusal| {
+            coder.refused(refusal, loaded.first + at as u32, level, loaded.brick)
+        };
         let load = |&rank: &usize| self.load(level, rank, step, coder);
         let loaded: Result<Vec<Option<Loaded<T>>>, EncodeError> = match coder.method {
             Method::Palettes { .. } | Method::Bound { .. } => {
                 let code = |rank: &usize| {
                     let Some(loaded) = load(rank)? else { return Ok(Vec::new()) };
-                    let pieces =
-                        coder.pieces(level, &loaded.steps).map_err(|source| refused(&loaded, source))?;
+                    let pieces = coder
+                        .pieces(level, &loaded.steps)
+                        .map_err(|(at, refusal)| refused(&loaded, at, refusal))?;
                     Ok(coder.spans(&loaded, pieces))
                 };
                 let spans: Vec<Result<Vec<SpanWrite>, EncodeError>> = ranks.par_iter().map(code).collect();
@@ -213,7 +217,7 @@ impl<T: Real> OpenWindows<T> {
             Method::Rate { bits } => rate::pieces(&steps, bits * coder.level_share(), coder),
             _ => slices::pieces(&steps, self.timing.window, coder.layout),
         };
-        let pieces = pieces.map_err(|(at, source)| refused(&loaded[at], Refusal::Codec(source)))?;
+        let pieces = pieces.map_err(|(node, source)| refused(&loaded[node], 0, Refusal::Codec(source)))?;
         let spans = loaded.iter().zip(pieces).map(|(loaded, pieces)| coder.spans(loaded, pieces));
         Ok(spans.flatten().collect())
     }
@@ -293,40 +297,56 @@ impl NodeCoder<'_> {
     }
 
     /// Codes a node by itself.
-    fn pieces<T: Real>(&self, level: u8, node: &NodeSteps<T>) -> Result<Vec<Piece>, Refusal> {
+    ///
+    /// # Errors
+    /// The step that is refused, counted from the node's first, and why.
+    fn pieces<T: Real>(&self, level: u8, node: &NodeSteps<T>) -> Result<Vec<Piece>, (usize, Refusal)> {
         let one_mask = matches!(self.method, Method::Palettes { .. });
         let mut pieces = Vec::new();
         for section in node.sections(self.window, one_mask) {
+            let start = section.steps.start;
             match (section.piece(), self.method) {
                 (Some(piece), _) => pieces.push(piece),
                 (None, Method::Palettes { kind, num_stages }) => {
                     let piece =
                         palettes::piece(node, section.steps, section.width, kind, num_stages, self.layout);
-                    pieces.push(piece.map_err(Refusal::Codec)?);
+                    pieces.push(piece.map_err(|source| (start, Refusal::Codec(source)))?);
                 }
                 (None, Method::Bound { max_error }) => {
-                    let stored = |bytes: &[u8]| stored_len(bytes, self.zstd_level);
-                    let window = NodeWindow {
-                        steps: node.samples_of(section.steps.clone()),
-                        masks: node.masks[section.steps.clone()].iter().map(Option::as_ref).collect(),
-                        lead: node.lead.saturating_sub(section.place) as usize,
-                        window: section.width,
-                        whole_numbers: node.whole_numbers,
-                    };
-                    let bound = self.bound(max_error);
-                    let chosen = within_bound(&window, bound, level == 0, self.layout, &stored)?;
-                    pieces.extend(chosen.into_iter().map(|p| Piece {
-                        start: section.steps.start + p.start,
-                        len: p.len,
-                        window: p.window,
-                        choice: p.content,
-                        drawn_range: p.drawn_range,
-                    }));
+                    pieces.extend(self.bounded_pieces(level, node, &section, max_error)?);
                 }
                 (None, Method::Rate { .. } | Method::Slices) => unreachable!("coded in groups"),
             }
         }
         Ok(pieces)
+    }
+
+    /// A section in the fewest bytes that hold the bound.
+    fn bounded_pieces<T: Real>(
+        &self,
+        level: u8,
+        node: &NodeSteps<T>,
+        section: &Section<T>,
+        max_error: f64,
+    ) -> Result<Vec<Piece>, (usize, Refusal)> {
+        let bound = self.bound(max_error);
+        let stored = |bytes: &[u8]| stored_len(bytes, CHOOSING_LEVEL);
+        let choose =
+            |window: &NodeWindow<'_, T>| within_bound(window, bound, level == 0, self.layout, &stored);
+        let window = NodeWindow {
+            steps: node.samples_of(section.steps.clone()),
+            masks: node.masks[section.steps.clone()].iter().map(Option::as_ref).collect(),
+            lead: node.lead.saturating_sub(section.place) as usize,
+            window: section.width,
+            whole_numbers: node.whole_numbers,
+        };
+        let chosen = choose(&window).map_err(|refusal| {
+            // It looked at the whole window: find the step that it stumbled over.
+            let refused = |&at: &usize| choose(&window.step(at)).is_err();
+            (section.steps.start + (0..window.steps.len()).find(refused).unwrap_or(0), refusal)
+        })?;
+        let from_first = |piece: Piece| Piece { start: section.steps.start + piece.start, ..piece };
+        Ok(chosen.into_iter().map(from_first).collect())
     }
 
     fn spans<T: Real>(&self, loaded: &Loaded<T>, pieces: Vec<Piece>) -> Vec<SpanWrite> {

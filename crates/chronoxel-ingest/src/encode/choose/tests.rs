@@ -77,7 +77,7 @@ impl<T: Real + SampleValue> Case<'_, T> {
     fn check_samples(&self, piece: &Piece) {
         let mut range = [f64::INFINITY, f64::NEG_INFINITY];
         for row in 0..piece.len {
-            let decoded = match &piece.content {
+            let decoded = match &piece.choice {
                 Choice::Empty => panic!("there are samples"),
                 Choice::Constant(value) => vec![*value; layout().num_full()],
                 Choice::Coded(payload) => {
@@ -164,7 +164,7 @@ fn what_does_not_change_is_stored_once() {
     assert_eq!((still.len(), still[0].window), (1, 16));
     let constant = check(&field::<f32>(16, |_, _| 0.1), 16, 0, 0.0);
     assert_eq!(constant.len(), 1);
-    assert_eq!(constant[0].content, Choice::Constant(f64::from(0.1f32)));
+    assert_eq!(constant[0].choice, Choice::Constant(f64::from(0.1f32)));
     // No lattice is so fine; equal steps are one piece all the same.
     let exact = check(&field::<f32>(8, |[x, ..], _| if x < 4.0 { 0.25 } else { 0.5 }), 8, 0, 0.0);
     assert_eq!(exact.len(), 1);
@@ -209,7 +209,7 @@ fn a_bound_beyond_16_bits_is_refused_or_met_as_well_as_can_be() {
     assert!(matches!(refused, Err(Refusal::Bound { error, bound: 1e-9 }) if error < 1e-4), "{refused:?}");
     let best = within_bound(&node, 1e-9, false, &layout(), &stored_len).unwrap();
     assert_eq!(best.len(), 2);
-    assert_eq!(best[0].content, {
+    assert_eq!(best[0].choice, {
         let stages = vec![quantize_affine(&steps[0], false, 16).unwrap()];
         Choice::Coded(Payload { stages })
     });
@@ -245,7 +245,7 @@ fn masks_part_spans_and_masked_samples_may_be_anything() {
 #[test]
 fn longer_windows_never_cost_more() {
     let bytes = |pieces: &[Piece]| -> usize {
-        let stages = |piece: &Piece| match &piece.content {
+        let stages = |piece: &Piece| match &piece.choice {
             Choice::Coded(p) => p.stages.iter().map(|s| stored_len(&stage_to_bytes(s, &layout()))).sum(),
             _ => 0,
         };
