@@ -274,6 +274,7 @@ def plot(path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from matplotlib.lines import Line2D
+    from matplotlib.ticker import LogLocator
 
     report = json.loads(path.read_text())
     plt.rcParams.update({"font.size": 10, "font.family": "DejaVu Sans"})
@@ -304,6 +305,7 @@ def plot(path):
                 axes.annotate(p["label"], (p["bits"], p["psnr_db"]), offset, textcoords="offset points", color=color, fontsize=9)
         handles["Chronoxel" if ours else "peers"].append(Line2D([], [], label=NAMES.get(family, family), **style))
     axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_locator(LogLocator(base=2, numticks=24))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}" if value >= 1 else f"1/{1 / value:g}")
     axes.set_ylim(*PLOTTED_DB)
     axes.set_xlabel("stored bits per sample and time step")
@@ -311,13 +313,12 @@ def plot(path):
     axes.set_title(report["title"], fontsize=11, loc="left")
     axes.grid(True, which="major", color="#dddddd", linewidth=0.7)
     axes.set_axisbelow(True)
-    handles["Chronoxel"].append(Line2D([], [], color="#888888", alpha=0.6, linewidth=1, label="to the left of a mark: without apron"))
+    handles["Chronoxel"].append(Line2D([], [], color="#888888", alpha=0.6, linewidth=1, label="left of a mark: without apron"))
     outside = {"loc": "upper left", "frameon": False, "fontsize": 9, "alignment": "left"}
-    first = axes.legend(handles=handles["Chronoxel"], title="Chronoxel (numbers: steps in a window)", bbox_to_anchor=(1.01, 1.02), **outside)
+    first = axes.legend(handles=handles["Chronoxel"], title="Chronoxel (numbers: steps per window)", bbox_to_anchor=(1.01, 1.02), **outside)
     axes.add_artist(first)
-    axes.legend(handles=handles["peers"], title="peers", bbox_to_anchor=(1.01, 0.44), **outside)
-    figure.tight_layout()
-    figure.savefig(path.with_suffix(".png"), bbox_inches="tight", pad_inches=0.1)
+    second = axes.legend(handles=handles["peers"], title="peers", bbox_to_anchor=(1.01, 0.5), **outside)
+    figure.savefig(path.with_suffix(".png"), bbox_inches="tight", bbox_extra_artists=[first, second], pad_inches=0.1)
 
 
 def main():
