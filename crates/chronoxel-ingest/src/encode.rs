@@ -43,6 +43,7 @@ pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 use crate::{EncodeError, TimeSeries};
 use budget::Portions;
 use output::Output;
+use rate::Spending;
 use step::Stepper;
 use stream::StreamPlan;
 use variable::{Coding, Places, StepTask, VariableEncoder};
@@ -196,6 +197,7 @@ impl Job {
     ) -> Result<Vec<VariableEncoder<'_>>, EncodeError> {
         let places = Places {
             tree: &self.description.tree,
+            levels: &self.plan.levels,
             layout: &self.description.layout,
             num_steps: self.num_steps() as u32,
             folder,
@@ -204,7 +206,8 @@ impl Job {
         let encoders = self.variables.iter().enumerate().map(|(variable, (index, coding))| {
             let ranges = ranges_before(writer.carry(), variable, first);
             let fits_f32 = series.variables()[*index].sample_type.fits_f32();
-            VariableEncoder::new(*index, variable, coding, fits_f32, &places, ranges)
+            let spending = Spending::deserialize(&writer.carry()["spending"][variable]).ok();
+            VariableEncoder::new(*index, variable, coding, fits_f32, &places, ranges, spending)
         });
         encoders.collect()
     }
@@ -231,10 +234,11 @@ impl Job {
     }
 }
 
-/// What a resume must know of the steps that it does not read again: the ranges of the last ones.
+/// What a resume must know of the steps that it does not read again: the ranges of the last ones, and what was spent.
 fn carry_of(step: usize, encoders: &[VariableEncoder<'_>]) -> Value {
     let ranges: Vec<&[[f64; 2]]> = encoders.iter().map(VariableEncoder::ranges).collect();
-    json!({ "step": step, "ranges": ranges })
+    let spending: Vec<Option<&Spending>> = encoders.iter().map(VariableEncoder::spending).collect();
+    json!({ "step": step, "ranges": ranges, "spending": spending })
 }
 
 /// The ranges of a variable up to each of the steps before `first`, from a carry.

@@ -1,11 +1,14 @@
 //! Nodes at a rate: the windows and stages of least error, chosen for a group of nodes together.
+//!
+//! What a group leaves of its share is spread over all groups to come, so that the series as a whole meets the rate, and
+//! quiet times save for busy ones.
 
-use chronoxel_codec::rate::{
-    CodedPiece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points, slopes_for,
-};
+use chronoxel_codec::rate::{CodedPiece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points};
 use chronoxel_codec::{CodecError, PayloadClass, decoded_range};
+use chronoxel_core::LevelGeometry;
 use chronoxel_store::stored_len;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::coding::Choice;
 use super::node::{NodeSteps, Piece, Section};
@@ -15,8 +18,10 @@ use super::windowed::{CHOOSING_LEVEL, NodeCoder};
 
 /// Nodes that share a budget. Fixed, since what comes out depends on it.
 pub const GROUP: usize = 16;
-/// Of so many sections of a group one is tried at first, to find the slopes near the budget.
-const TRIED: usize = 6;
+/// Rounds in which the slopes that bracket a budget are looked for.
+const MOST_ROUNDS: usize = 8;
+/// The two slopes of a round are so far apart.
+const BRACKET: f64 = 4.0;
 const MAX_STAGES: usize = 3;
 const NUM_ENTRIES: usize = 256;
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
@@ -29,6 +34,42 @@ pub fn classes(window: u32) -> Vec<PayloadClass> {
     classes
 }
 
+/// What was spent of the bytes of a variable: what is left is spread evenly over what is to come.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Spending {
+    /// Bytes for everything.
+    budget_bytes: f64,
+    /// Samples of all levels and steps.
+    num_samples: f64,
+    spent_bytes: f64,
+    coded_samples: f64,
+    /// Squared error that a bit saved in the group before: where the search begins.
+    slope: Option<f64>,
+}
+
+impl Spending {
+    /// At the start of a series.
+    ///
+    /// * `bits`: stored bits per source sample and step, on average over the series
+    pub fn new(bits: f64, levels: &[LevelGeometry], num_steps: u32) -> Self {
+        let of_level = |level: &LevelGeometry| level.dims.iter().map(|&n| n as f64).product::<f64>();
+        let num_steps = f64::from(num_steps);
+        Self {
+            budget_bytes: bits / 8.0 * of_level(&levels[0]) * num_steps,
+            num_samples: levels.iter().map(of_level).sum::<f64>() * num_steps,
+            spent_bytes: 0.0,
+            coded_samples: 0.0,
+            slope: None,
+        }
+    }
+
+    /// Bytes for some samples.
+    fn share(&self, num_samples: f64) -> u64 {
+        let left = (self.num_samples - self.coded_samples).max(num_samples);
+        ((self.budget_bytes - self.spent_bytes).max(0.0) * num_samples / left) as u64
+    }
+}
+
 /// A section of which the samples differ, and what its error counts over.
 struct Coded<'a, T> {
     node: usize,
@@ -38,20 +79,18 @@ struct Coded<'a, T> {
     whole_numbers: bool,
 }
 
-/// The pieces of each node of a group, with the least squared error at `bits` stored bits per sample and step.
+/// The pieces of each node of a group, with the least squared error for their share of the bytes.
 ///
 /// # Errors
 /// The place of a node that the codecs refuse, and why.
 pub fn pieces<T: Real>(
     nodes: &[&NodeSteps<T>],
-    bits: f64,
+    spending: &mut Spending,
     coder: &NodeCoder<'_>,
 ) -> Result<Vec<Vec<Piece>>, (usize, CodecError)> {
     let mut pieces: Vec<Vec<Piece>> = vec![Vec::new(); nodes.len()];
     let mut coded = Vec::new();
-    let mut num_samples = 0;
     for (at, node) in nodes.iter().enumerate() {
-        num_samples += node.core.len() * node.samples.len();
         for section in node.sections(coder.window, true) {
             match section.piece() {
                 Some(piece) => pieces[at].push(piece),
@@ -65,9 +104,12 @@ pub fn pieces<T: Real>(
             }
         }
     }
-    let num_simple = pieces.iter().map(|pieces| pieces.len() as u64).sum::<u64>();
-    let budget = (bits / 8.0 * num_samples as f64) as u64;
-    let chosen = choose(&coded, budget.saturating_sub(num_simple * SPAN_BYTES), coder)?;
+    let num_samples = nodes.iter().map(|node| (node.core.len() * node.samples.len()) as f64).sum();
+    let simple_bytes = pieces.iter().map(|pieces| pieces.len() as u64).sum::<u64>() * SPAN_BYTES;
+    let budget = spending.share(num_samples).saturating_sub(simple_bytes);
+    let chosen = choose(&coded, budget, spending, coder)?;
+    spending.coded_samples += num_samples;
+    spending.spent_bytes += (simple_bytes + chosen.iter().map(|point| point.bytes).sum::<u64>()) as f64;
     for (coded, point) in coded.iter().zip(chosen) {
         for piece in point.pieces {
             let piece = coded.piece(piece, coder).map_err(|source| (coded.node, source))?;
@@ -82,25 +124,44 @@ pub fn pieces<T: Real>(
 fn choose<T: Real>(
     coded: &[Coded<'_, T>],
     budget: u64,
+    spending: &mut Spending,
     coder: &NodeCoder<'_>,
 ) -> Result<Vec<RatePoint>, (usize, CodecError)> {
     let [low, high] = coder.range;
-    let first = first_slopes((high - low).clamp(f64::MIN_POSITIVE, 0.5 * f64::MAX.sqrt()));
-    let points_at = |coded: &Coded<'_, T>, slopes: &[f64]| {
-        coded.points(slopes, coder).map_err(|source| (coded.node, source))
-    };
-    let tried: Vec<&Coded<'_, T>> = coded.iter().step_by(TRIED).collect();
-    let of_tried: Vec<_> = tried.par_iter().map(|coded| points_at(coded, &first)).collect();
-    let of_tried = of_tried.into_iter().collect::<Result<Vec<_>, _>>()?;
-    // What the bricks tried take stands for what all do.
-    let size = |coded: &Coded<'_, T>| (coded.steps.len() * coded.trained.len()) as f64;
-    let share = tried.iter().map(|c| size(c)).sum::<f64>() / coded.iter().map(size).sum::<f64>().max(1.0);
-    let bytes: Vec<u64> =
-        (0..first.len()).map(|s| of_tried.iter().map(|points| points[s].bytes).sum()).collect();
-    drop(of_tried);
-    let near = slopes_for(&first, &bytes, (budget as f64 * share) as u64);
-    let points: Vec<_> = coded.par_iter().map(|coded| points_at(coded, &near)).collect();
-    let points = points.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let all = first_slopes((high - low).clamp(f64::MIN_POSITIVE, 0.5 * f64::MAX.sqrt()));
+    let mut slope = spending.slope.unwrap_or(all[all.len() / 2]);
+    let mut points: Vec<Vec<RatePoint>> = coded.iter().map(|_| Vec::new()).collect();
+    // Of the slopes tried: the largest that exceeds the budget, the smallest that does not.
+    let (mut below, mut above) = (None::<f64>, None::<f64>);
+    for _ in 0..MOST_ROUNDS {
+        let slopes = [slope / BRACKET.sqrt(), slope * BRACKET.sqrt()];
+        let found: Vec<_> = coded.par_iter().map(|coded| coded.points(&slopes, coder)).collect();
+        let mut bytes = [0, 0];
+        for ((coded, points), found) in coded.iter().zip(&mut points).zip(found) {
+            let found = found.map_err(|source| (coded.node, source))?;
+            bytes.iter_mut().zip(&found).for_each(|(sum, point)| *sum += point.bytes);
+            points.extend(found);
+        }
+        for (slope, bytes) in slopes.into_iter().zip(bytes) {
+            match bytes > budget {
+                true => below = Some(below.map_or(slope, |s| s.max(slope))),
+                false => above = Some(above.map_or(slope, |s| s.min(slope))),
+            }
+        }
+        slope = match (below, above) {
+            (Some(below), Some(above)) if above <= BRACKET * BRACKET * below => break,
+            (Some(below), Some(above)) => (below * above).sqrt(),
+            (Some(below), None) if below < all[all.len() - 1] => below * BRACKET * BRACKET,
+            (None, Some(above)) if above > all[0] => above / (BRACKET * BRACKET),
+            _ => break,
+        };
+    }
+    if !coded.is_empty() {
+        spending.slope = match (below, above) {
+            (Some(below), Some(above)) => Some((below * above).sqrt()),
+            (one, other) => one.or(other),
+        };
+    }
     let chosen = allocate(&points, budget);
     let take = |(mut points, at): (Vec<RatePoint>, usize)| points.swap_remove(at);
     Ok(points.into_iter().zip(chosen).map(take).collect())

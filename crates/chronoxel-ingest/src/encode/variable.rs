@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use chronoxel_codec::{PayloadClass, stage_to_bytes};
-use chronoxel_core::{BrickLayout, Octree};
+use chronoxel_core::{BrickLayout, LevelGeometry, Octree};
 use chronoxel_store::{SpanContent, SpanWrite, StoreWriter};
 
 use super::coding::{Choice, CodedBrick, code};
 use super::mark::Marks;
+use super::rate::Spending;
 use super::real::Real;
 use super::step::{CutBrick, Stepper};
 use super::timing::Timing;
@@ -126,6 +127,7 @@ impl<'a> VariableEncoder<'a> {
     /// * `folder`: where a scratch file may lie
     /// * `scratch_bytes`: what may wait in memory
     /// * `ranges`: range of the source up to each of the last steps before the one to read next
+    /// * `spending`: what was spent up to the last commit, where there is a rate to meet
     pub fn new(
         index: usize,
         variable: usize,
@@ -133,19 +135,47 @@ impl<'a> VariableEncoder<'a> {
         fits_f32: bool,
         places: &Places<'_>,
         ranges: Vec<[f64; 2]>,
+        spending: Option<Spending>,
     ) -> Result<Self, EncodeError> {
-        let Places { tree, layout, num_steps, folder, scratch_bytes } = *places;
+        let Places { tree, levels, layout, num_steps, folder, scratch_bytes } = *places;
         let open = match coding.how {
             How::Steps { .. } => OpenSteps::None,
-            How::Windows { window, .. } => {
+            How::Windows { window, method } => {
                 let timing = Timing { window, num_steps };
+                let spending = match method {
+                    Method::Rate { bits } => spending.or(Some(Spending::new(bits, levels, num_steps))),
+                    _ => None,
+                };
                 match fits_f32 {
-                    true => OpenSteps::F32(OpenWindows::new(timing, tree, layout, folder, scratch_bytes)?),
-                    false => OpenSteps::F64(OpenWindows::new(timing, tree, layout, folder, scratch_bytes)?),
+                    true => OpenSteps::F32(OpenWindows::new(
+                        timing,
+                        tree,
+                        layout,
+                        folder,
+                        scratch_bytes,
+                        spending,
+                    )?),
+                    false => OpenSteps::F64(OpenWindows::new(
+                        timing,
+                        tree,
+                        layout,
+                        folder,
+                        scratch_bytes,
+                        spending,
+                    )?),
                 }
             }
         };
         Ok(Self { index, variable, coding, classes: coding.how.classes(layout), open, ranges })
+    }
+
+    /// What was spent, where there is a rate to meet: what a resume needs.
+    pub fn spending(&self) -> Option<&Spending> {
+        match &self.open {
+            OpenSteps::None => None,
+            OpenSteps::F32(open) => open.spending(),
+            OpenSteps::F64(open) => open.spending(),
+        }
     }
 
     /// Ranges of the source up to each of the last steps: what a resume needs.
@@ -179,6 +209,8 @@ impl<'a> VariableEncoder<'a> {
 pub struct Places<'a> {
     /// The nodes.
     pub tree: &'a Octree,
+    /// The levels, finest first.
+    pub levels: &'a [LevelGeometry],
     /// The shape of bricks.
     pub layout: &'a BrickLayout,
     /// Steps of the series.

@@ -14,11 +14,12 @@ use super::choose::{self, NodeWindow, within_bound};
 use super::coding::{Choice, Refusal};
 use super::node::{NodeSteps, Piece, Section, core_inside};
 use super::palettes::{self, PaletteKind};
+use super::rate::{self, Spending};
 use super::real::Real;
 use super::scratch::{Scratch, Waiting};
+use super::slices;
 use super::step::{CutBrick, TakeBatch};
 use super::timing::Timing;
-use super::{rate, slices};
 use crate::EncodeError;
 
 /// Level of zstd at which candidates are weighed: what is stored at a higher level ranks them alike, but for less time.
@@ -89,6 +90,8 @@ pub struct OpenWindows<T> {
     scratch: Scratch,
     /// `[level][node]`
     nodes: Vec<Vec<Open<T>>>,
+    /// Of a codec that meets a rate.
+    spending: Option<Spending>,
 }
 
 /// What coding a node needs besides its samples.
@@ -135,11 +138,17 @@ impl<T: Real> OpenWindows<T> {
         layout: &BrickLayout,
         folder: &Path,
         memory_bytes: u64,
+        spending: Option<Spending>,
     ) -> Result<Self, EncodeError> {
         let brick_bytes = (layout.num_full() * size_of::<T>()) as u64;
         let scratch = Scratch::new(folder, brick_bytes, memory_bytes)?;
         let of_level = |level: u8| tree.nodes(level).iter().map(|_| Open { steps: Vec::new() }).collect();
-        Ok(Self { timing, scratch, nodes: (0..tree.num_levels() as u8).map(of_level).collect() })
+        Ok(Self { timing, scratch, nodes: (0..tree.num_levels() as u8).map(of_level).collect(), spending })
+    }
+
+    /// What was spent, where there is a rate to meet.
+    pub fn spending(&self) -> Option<&Spending> {
+        self.spending.as_ref()
     }
 
     /// Lets bricks of a level wait for the end of their windows.
@@ -164,11 +173,12 @@ impl<T: Real> OpenWindows<T> {
         put: &mut TakeBatch<'_, SpanWrite>,
     ) -> Result<(), EncodeError> {
         let mut coded: Option<(u8, Vec<SpanWrite>)> = None;
+        let mut spending = self.spending.take();
         for level in 0..self.nodes.len() as u8 {
             for batch in &coder.closing(self.timing, level, step) {
                 let before = coded.take();
                 let (spans, written) = rayon::join(
-                    || self.code_batch(level, batch, step, coder),
+                    || self.code_batch(level, batch, step, coder, &mut spending),
                     || before.map_or(Ok(()), |(level, spans)| put(level, spans)),
                 );
                 written?;
@@ -179,6 +189,7 @@ impl<T: Real> OpenWindows<T> {
                 }
             }
         }
+        self.spending = spending;
         coded.map_or(Ok(()), |(level, spans)| put(level, spans))
     }
 
@@ -188,34 +199,28 @@ impl<T: Real> OpenWindows<T> {
         ranks: &[usize],
         step: u32,
         coder: &NodeCoder<'_>,
+        spending: &mut Option<Spending>,
     ) -> Result<Vec<SpanWrite>, EncodeError> {
         let refused = |loaded: &Loaded<T>, at: usize, refusal| {
             coder.refused(refusal, loaded.first + at as u32, level, loaded.brick)
         };
-        let load = |&rank: &usize| self.load(level, rank, step, coder);
-        let loaded: Result<Vec<Option<Loaded<T>>>, EncodeError> = match coder.method {
-            Method::Palettes { .. } | Method::Bound { .. } => {
-                let code = |rank: &usize| {
-                    let Some(loaded) = load(rank)? else { return Ok(Vec::new()) };
-                    let pieces = coder
-                        .pieces(level, &loaded.steps)
-                        .map_err(|(at, refusal)| refused(&loaded, at, refusal))?;
-                    Ok(coder.spans(&loaded, pieces))
-                };
-                let spans: Vec<Result<Vec<SpanWrite>, EncodeError>> = ranks.par_iter().map(code).collect();
-                // In order, so that of several errors it is always the first.
-                return Ok(spans.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect());
-            }
-            Method::Rate { .. } | Method::Slices => {
-                let loaded: Vec<_> = ranks.par_iter().map(load).collect();
-                loaded.into_iter().collect()
-            }
-        };
-        let loaded: Vec<Loaded<T>> = loaded?.into_iter().flatten().collect();
+        if let Method::Palettes { .. } | Method::Bound { .. } = coder.method {
+            let code = |&rank: &usize| {
+                let Some(loaded) = self.load(level, rank, step, coder)? else { return Ok(Vec::new()) };
+                let pieces = coder.pieces(level, &loaded.steps);
+                Ok(coder.spans(&loaded, pieces.map_err(|(at, refusal)| refused(&loaded, at, refusal))?))
+            };
+            let spans: Vec<Result<Vec<SpanWrite>, EncodeError>> = ranks.par_iter().map(code).collect();
+            // In order, so that of several errors it is always the first.
+            return Ok(spans.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect());
+        }
+        let loaded: Vec<_> = ranks.par_iter().map(|&rank| self.load(level, rank, step, coder)).collect();
+        let loaded = loaded.into_iter().collect::<Result<Vec<_>, EncodeError>>()?;
+        let loaded: Vec<Loaded<T>> = loaded.into_iter().flatten().collect();
         let steps: Vec<&NodeSteps<T>> = loaded.iter().map(|loaded| &loaded.steps).collect();
-        let pieces = match coder.method {
-            Method::Rate { bits } => rate::pieces(&steps, bits * coder.level_share(), coder),
-            _ => slices::pieces(&steps, self.timing.window, coder.layout),
+        let pieces = match spending {
+            Some(spending) => rate::pieces(&steps, spending, coder),
+            None => slices::pieces(&steps, self.timing.window, coder.layout),
         };
         let pieces = pieces.map_err(|(node, source)| refused(&loaded[node], 0, Refusal::Codec(source)))?;
         let spans = loaded.iter().zip(pieces).map(|(loaded, pieces)| coder.spans(loaded, pieces));
@@ -264,12 +269,6 @@ impl NodeCoder<'_> {
         let [low, high] = self.range;
         // Halved before the difference and doubled after, which cannot overflow on the way.
         max_error * 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX)
-    }
-
-    /// Share of a rate that is left for each level, all levels together having more samples than the source.
-    fn level_share(&self) -> f64 {
-        let num_samples = |level: &LevelGeometry| level.dims.iter().map(|&n| n as f64).product::<f64>();
-        num_samples(&self.levels[0]) / self.levels.iter().map(num_samples).sum::<f64>()
     }
 
     /// Phase of a node: by layers of bricks where a whole slice is coded at once.
