@@ -1,8 +1,8 @@
 //! Points of rate control, decoded: they err by what they say, cover the run, and reach every rate.
 
 use chronoxel_codec::{
-    CodedPiece, RateOptions, RatePoint, Run, allocate, decode_f64, first_slopes, rate_points, slopes_for,
-    stage_to_bytes,
+    CodedPiece, PayloadClass, RateOptions, RatePoint, Run, Stage, allocate, decode_f64, first_slopes,
+    rate_points, slopes_for, stage_to_bytes,
 };
 use chronoxel_core::BrickLayout;
 
@@ -82,9 +82,10 @@ fn measure(point: &RatePoint, run: &Run<f64>, options: &RateOptions) -> (f64, u6
             CodedPiece::Payload(payload) => decode_f64(payload, run.layout, t as u32).unwrap(),
         };
         if let CodedPiece::Payload(payload) = &piece.coded {
-            assert!(payload.stages.len() <= options.max_stages);
+            let class = PayloadClass { stages: payload.stages.iter().map(Stage::class).collect() };
+            assert!(class.fits_window(piece.window), "{class}");
+            assert!(options.payload_classes(piece.window).contains(&class), "{class}");
             for stage in &payload.stages {
-                assert!(stage.class().fits_window(piece.window), "{:?}", stage.class());
                 bytes += entropy_bytes(&stage_to_bytes(stage, run.layout)) as u64;
             }
         }
