@@ -30,7 +30,7 @@ pub use palette::{ProductQuantizer, product_palette};
 pub use payload::{Indices, Payload, Stage, Table};
 pub use quantize::{SampleValue, quantize_affine};
 pub use rate::{
-    CodedPiece, Piece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points, slopes_for,
+    CodedPiece, Piece, RateOptions, RatePoint, Run, allocate, choose_points, first_slopes, rate_points,
 };
 pub use vq::{VectorTable, code_stages, vector_palette};
 pub use window::{Palette, UnitWindow};

@@ -3,8 +3,8 @@
 //!
 //! At a given *slope* (squared error that one stored bit must save) every brick has one best way, [`rate_points`], and
 //! bricks coded at one slope together have the least squared error for the bytes they take (Shoham and
-//! Gersho 1988). [`first_slopes`] cover all rates coarsely; after trying them on a few bricks, [`slopes_for`] names those
-//! near a budget, and [`allocate`] chooses among the points that all bricks of a group have there.
+//! Gersho 1988). [`choose_points`] looks for the slopes near a budget, and [`allocate`] chooses among the points that all
+//! bricks have there.
 
 mod points;
 
@@ -16,6 +16,83 @@ pub use points::{CodedPiece, Piece, RateOptions, RatePoint, Run, rate_points};
 const FIRST_FACTOR: f64 = 16.0;
 /// Slopes near a budget, as factors of the one that is expected to meet it.
 const FACTORS_NEAR: [f64; 3] = [0.3, 1.0, 3.0];
+
+/// Bricks on which all rates are tried.
+const NUM_PROBED: usize = 4;
+/// Neighbouring slopes around a budget differ by no more than this factor.
+const CLOSE: f64 = 12.0;
+/// Bricks that take this part of a budget have met it.
+const MET: f64 = 0.97;
+/// Most rounds of looking for slopes.
+const MOST_ROUNDS: usize = 12;
+
+/// For each of a group of bricks the way to code it, so that the sum of the squared errors is small and the bytes fit the
+/// budget; they exceed it only where the bricks do as constants.
+///
+/// All rates are tried on a few bricks, the rates that this suggests on all, and where these miss the budget, others.
+///
+/// * `num_bricks`: bricks of the group; the result depends on no others
+/// * `range`: width of the variable's range, > 0
+/// * `evaluate`: for each of the bricks named the [`rate_points`] at the slopes named
+///
+/// # Errors
+/// Those of `evaluate`.
+pub fn choose_points<E>(
+    num_bricks: usize,
+    range: f64,
+    budget_bytes: u64,
+    mut evaluate: impl FnMut(&[usize], &[f64]) -> Result<Vec<Vec<RatePoint>>, E>,
+) -> Result<Vec<RatePoint>, E> {
+    let all: Vec<usize> = (0..num_bricks).collect();
+    let probed: Vec<usize> = all.iter().copied().step_by(num_bricks.div_ceil(NUM_PROBED).max(1)).collect();
+    let first = first_slopes(range);
+    let bytes = bytes_of(&evaluate(&probed, &first)?, first.len());
+    let share = probed.len() as f64 / num_bricks.max(1) as f64;
+    let mut slopes = slopes_for(&first, &bytes, (budget_bytes as f64 * share) as u64);
+    let mut points: Vec<Vec<RatePoint>> = vec![Vec::new(); num_bricks];
+    let mut tried: Vec<(f64, u64)> = Vec::new();
+    for _ in 0..MOST_ROUNDS {
+        let found = evaluate(&all, &slopes)?;
+        tried.extend(slopes.iter().copied().zip(bytes_of(&found, slopes.len())));
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        points.iter_mut().zip(found).for_each(|(points, found)| points.extend(found));
+        let Some(slope) = next_slope(&tried, budget_bytes, range) else { break };
+        slopes = vec![slope];
+    }
+    let chosen = allocate(&points, budget_bytes);
+    Ok(chosen.into_iter().zip(points).map(|(at, mut points)| points.swap_remove(at)).collect())
+}
+
+/// Bytes of all bricks together at each slope.
+fn bytes_of(points: &[Vec<RatePoint>], num_slopes: usize) -> Vec<u64> {
+    (0..num_slopes).map(|s| points.iter().map(|points| points[s].bytes).sum()).collect()
+}
+
+/// A slope to try beside those tried, unless they surround the budget closely.
+///
+/// * `tried`: slopes, increasing, and the bytes that all bricks take there
+fn next_slope(tried: &[(f64, u64)], budget_bytes: u64, range: f64) -> Option<f64> {
+    let (&(smallest, most), &(largest, _)) = (tried.first()?, tried.last()?);
+    match tried.iter().position(|&(_, bytes)| bytes <= budget_bytes) {
+        None => (largest < range * range * 1e3).then_some(largest * FIRST_FACTOR),
+        Some(0) => {
+            let met = most as f64 >= MET * budget_bytes as f64 || smallest < range * range * 1e-15;
+            (!met).then_some(smallest / FIRST_FACTOR)
+        }
+        Some(at) => {
+            let [(low, more), (high, less)] = [tried[at - 1], tried[at]];
+            let between = || between(low, high, more, less, budget_bytes).clamp(low * 2.0, high / 2.0);
+            (high > CLOSE * low && less as f64 <= MET * budget_bytes as f64).then(between)
+        }
+    }
+}
+
+/// The slope between two at which the bytes would be those given, both in logarithms.
+fn between(low: f64, high: f64, more: u64, less: u64, bytes: u64) -> f64 {
+    let log = |b: u64| libm::log(b.max(1) as f64);
+    let part = if more > less { (log(more) - log(bytes)) / (log(more) - log(less)) } else { 1.0 };
+    low * libm::exp(part.clamp(0.0, 1.0) * libm::log(high / low))
+}
 
 /// Slopes from that of 16 bits a sample to that of next to none, increasing.
 ///
@@ -30,18 +107,12 @@ pub fn first_slopes(range: f64) -> Vec<f64> {
 /// * `slopes`: those tried, increasing, at least one
 /// * `bytes`: what the bricks took at each, all bricks together
 /// * `budget_bytes`: what they may take
-pub fn slopes_for(slopes: &[f64], bytes: &[u64], budget_bytes: u64) -> Vec<f64> {
+fn slopes_for(slopes: &[f64], bytes: &[u64], budget_bytes: u64) -> Vec<f64> {
     let fits = bytes.iter().position(|&b| b <= budget_bytes);
     let at = match fits {
         Some(0) => slopes[0],
         None => slopes[slopes.len() - 1],
-        Some(i) => {
-            let log = |b: u64| libm::log(b.max(1) as f64);
-            let (more, less) = (log(bytes[i - 1]), log(bytes[i]));
-            let part = if more > less { (more - log(budget_bytes)) / (more - less) } else { 1.0 };
-            let exponent = part.clamp(0.0, 1.0) * libm::log(slopes[i] / slopes[i - 1]);
-            slopes[i - 1] * libm::exp(exponent)
-        }
+        Some(i) => between(slopes[i - 1], slopes[i], bytes[i - 1], bytes[i], budget_bytes),
     };
     FACTORS_NEAR.iter().map(|factor| at * factor).collect()
 }

@@ -4,8 +4,8 @@
 use chronoxel_core::BrickLayout;
 
 use crate::{
-    CodecError, Indices, Payload, SampleValue, Stage, Table, UnitWindow, VectorTable, quantize_affine,
-    stage_to_bytes,
+    CodecError, Indices, Payload, PayloadClass, SampleValue, Stage, StageClass, Table, TableClass,
+    UnitWindow, VectorTable, quantize_affine, stage_to_bytes,
 };
 
 /// A table this many times coarser than the slope asks for is not worth trying.
@@ -64,9 +64,9 @@ pub struct Run<'a, T> {
 pub struct RateOptions<'a> {
     /// Longest window, a power of two.
     pub max_window: u32,
-    /// Most stages of a vector palette: 1 to 3.
+    /// Most stages of a vector palette, at least 1.
     pub max_stages: usize,
-    /// Entries of a table: its class has as many, whether used or not.
+    /// Entries of a table, 1 to 256: its class has as many, whether used or not.
     pub num_entries: usize,
     /// Whether all samples are integers below 2^53 in magnitude.
     pub whole_numbers: bool,
@@ -74,6 +74,22 @@ pub struct RateOptions<'a> {
     pub span_bytes: u64,
     /// Stored length of the bytes of a stage.
     pub stored_bytes: &'a (dyn Fn(&[u8]) -> usize + Sync),
+}
+
+impl RateOptions<'_> {
+    /// The classes that payloads of a window length may have.
+    pub fn payload_classes(&self, window: u32) -> Vec<PayloadClass> {
+        let table = TableClass::Listed { entries: self.table_entries() as u32, rows: window };
+        let stage = StageClass { index_bits: 8, table, shift: 0 };
+        let most_stages = if window > 1 { self.max_stages.max(1) } else { 0 };
+        let listed = (1..=most_stages).map(|n| PayloadClass { stages: vec![stage; n] });
+        [8, 16].map(PayloadClass::affine).into_iter().chain(listed).collect()
+    }
+
+    /// Entries of a table of 8-bit indices.
+    fn table_entries(&self) -> usize {
+        self.num_entries.clamp(1, 256)
+    }
 }
 
 /// A way to code one piece.
@@ -215,7 +231,7 @@ impl<T: SampleValue> PieceCoder<'_, T> {
             best.as_ref().is_some_and(|b| b.cost(slope) > least_error + slope * 8.0 * least_bytes)
         };
         if self.unit.num_steps > 1 && slopes.iter().zip(&best).any(|(&slope, best)| open(best, slope, 0.0)) {
-            let mut table = VectorTable::train(self.unit, self.num_entries());
+            let mut table = VectorTable::train(self.unit, self.options.table_entries());
             for (s, &slope) in slopes.iter().enumerate() {
                 if !open(&best[s], slope, 0.0) {
                     continue;
@@ -236,10 +252,6 @@ impl<T: SampleValue> PieceCoder<'_, T> {
             }
         }
         Ok(best)
-    }
-
-    fn num_entries(&self) -> usize {
-        self.options.num_entries.clamp(1, 256)
     }
 
     /// A slope in the units of a window.
@@ -281,7 +293,7 @@ impl<T: SampleValue> PieceCoder<'_, T> {
         let mut best = self.add_stage(&mut stages, table, self.unit, slope)?;
         let mut residual = best.1.take();
         while let Some(unit) = residual {
-            let mut table = VectorTable::train(&unit, self.num_entries());
+            let mut table = VectorTable::train(&unit, self.options.table_entries());
             let (candidate, next) = self.add_stage(&mut stages, &mut table, &unit, slope)?;
             if candidate.cost(slope) >= best.0.cost(slope) {
                 break;
@@ -302,7 +314,12 @@ impl<T: SampleValue> PieceCoder<'_, T> {
     ) -> Result<(Candidate, Option<UnitWindow>), CodecError> {
         let unit_slope = self.unit_slope(unit, slope);
         let palette = table.priced_palette(unit_slope);
-        stages.push(palette.to_stage(unit, self.layout, self.num_entries(), self.window as usize)?);
+        stages.push(palette.to_stage(
+            unit,
+            self.layout,
+            self.options.table_entries(),
+            self.window as usize,
+        )?);
         let candidate = self.candidate(stages.clone(), palette.squared_error(unit) * unit.width * unit.width);
         let more = stages.len() < self.options.max_stages && unit_slope < table.slope();
         Ok((candidate, more.then(|| unit.residual(&palette)).filter(|residual| residual.width > 0.0)))

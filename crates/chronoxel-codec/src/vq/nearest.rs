@@ -59,6 +59,7 @@ pub enum InstructionSet {
 impl InstructionSet {
     /// Those of this processor, the widest last.
     pub fn available() -> Vec<Self> {
+        #[cfg_attr(not(target_arch = "x86_64"), allow(unused_mut))]
         let mut sets = vec![Self::Plain];
         #[cfg(target_arch = "x86_64")]
         {
