@@ -5,6 +5,7 @@
 //! ([`chronoxel_render`]); and it holds the command line. It has no algorithms of its own.
 
 pub mod annotate;
+pub mod bench;
 mod blend;
 pub mod bytes;
 pub mod cli;

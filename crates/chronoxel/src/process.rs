@@ -1,4 +1,6 @@
-//! What this process used: memory and processor time.
+//! What this process used, memory and processor time, and what the system keeps for it.
+
+use std::path::Path;
 
 /// Resources used since the process began.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +56,36 @@ pub fn return_large_blocks() {
     }
 }
 
+/// Has the system forget what it keeps of the files of a folder in memory, as far as they are on disk and it can: the next
+/// read of them is one of the disk.
+pub fn forget_cached_files(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let path = entry.path();
+        match entry.file_type() {
+            Ok(kind) if kind.is_dir() => forget_cached_files(&path),
+            Ok(kind) if kind.is_file() => forget_cached_file(&path),
+            _ => {}
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn forget_cached_file(path: &Path) {
+    use std::os::fd::AsRawFd;
+    let Ok(file) = std::fs::File::open(path) else { return };
+    // What is not on disk yet is not forgotten.
+    let _ = file.sync_data();
+    // SAFETY: the descriptor is that of a file that is open until the end of this function; the call is advice, which changes
+    // no byte of it.
+    unsafe {
+        libc::posix_fadvise(file.as_raw_fd(), 0, 0, libc::POSIX_FADV_DONTNEED);
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn forget_cached_file(_path: &Path) {}
+
 /// Blocks from this size on are large: slabs and windows of slices, not bricks.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE_BLOCK_BYTES: libc::c_int = 512 << 10;
@@ -71,5 +103,16 @@ mod tests {
         let after = resource_usage().unwrap();
         assert!(after.peak_rss_bytes >= 60 << 20);
         assert!(after.cpu_secs >= before.cpu_secs);
+    }
+
+    #[test]
+    fn forgotten_files_keep_their_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("inner")).unwrap();
+        let file = folder.path().join("inner/file");
+        std::fs::write(&file, [7; 70_000]).unwrap();
+        forget_cached_files(folder.path());
+        assert!(std::fs::read(&file).unwrap() == [7; 70_000]);
+        forget_cached_files(&file.join("absent"));
     }
 }

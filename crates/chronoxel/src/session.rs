@@ -9,7 +9,7 @@ use std::{collections::HashMap, path::Path, sync::Arc, time::Instant};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
 
-use chronoxel_codec::{Payload, decode_resident};
+use chronoxel_codec::{Indices, Payload, Stage, Table, decode_resident};
 use chronoxel_core::{
     BitMask, BrickLayout, ByteLru, CacheCounts, Camera, Image, Lighting, NodeId, Octree, PayloadAddress,
     ResidentBrick, ResolvedTransfer, SpanKind, SpanRecord, TransferFunction, UniformGrid,
@@ -142,6 +142,26 @@ impl BrickKey {
     }
 }
 
+/// What makes two payloads the same; those of a single step are not kept, as their bricks are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct PayloadKey {
+    level: u8,
+    window: u32,
+    class: u8,
+    at: PayloadAddress,
+}
+
+impl PayloadKey {
+    fn new(level: u8, record: &SpanRecord) -> Option<Self> {
+        match record.kind {
+            SpanKind::Coded { class, at } if record.window > 1 => {
+                Some(Self { level, window: record.window, class, at })
+            }
+            _ => None,
+        }
+    }
+}
+
 /// The spans of one level at one step, in the order of its nodes.
 type Spans = Arc<Vec<SpanRecord>>;
 
@@ -151,13 +171,17 @@ pub struct Session {
     tree: Arc<Octree>,
     variable: usize,
     bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
+    /// Payloads of several steps: the next step of each is decoded without reading it again.
+    payloads: ByteLru<PayloadKey, Arc<Payload>>,
     spans: ByteLru<(u8, u32), Spans>,
     portion_bytes: usize,
     memory_bytes: u64,
 }
 
 /// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
-const RESIDENT_SHARE: f64 = 0.6;
+const RESIDENT_SHARE: f64 = 0.5;
+/// Share of the memory budget for payloads that later steps need as well.
+const PAYLOAD_SHARE: f64 = 0.1;
 /// Share of the memory budget that the bricks of one portion of a picture may take.
 const PORTION_SHARE: f64 = 0.25;
 /// Bytes that a pixel takes while a picture is made: what is gathered, tiles in flight, and the bytes shown.
@@ -188,6 +212,7 @@ impl Session {
             store,
             variable,
             bricks: ByteLru::new(share(RESIDENT_SHARE)),
+            payloads: ByteLru::new(share(PAYLOAD_SHARE)),
             spans: ByteLru::new(share(SPANS_SHARE)),
             portion_bytes: share(PORTION_SHARE),
             memory_bytes,
@@ -216,6 +241,13 @@ impl Session {
     /// If a point of the function overflows.
     pub fn resolve(&self, transfer: &TransferFunction) -> anyhow::Result<ResolvedTransfer> {
         Ok(transfer.resolve(self.variable_range())?)
+    }
+
+    /// How many steps of full resolution stay resident, at least.
+    pub fn num_resident_steps(&self) -> usize {
+        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks);
+        let step_bytes = brick_bytes.saturating_mul(self.tree.nodes(0).len());
+        (self.memory_bytes as f64 * RESIDENT_SHARE) as usize / step_bytes.max(1)
     }
 
     /// What the cache of bricks did so far.
@@ -460,17 +492,41 @@ impl Session {
 
     /// Reads and decodes bricks: payloads of a level in as few reads as possible, decoding in parallel.
     fn load<'a>(&mut self, wanted: &'a [Wanted], step: u32) -> Vec<(&'a Wanted, Loaded)> {
-        let (store, variable) = (&self.store, self.variable);
         let mut loaded = Vec::with_capacity(wanted.len());
         for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
-            let records: Vec<SpanRecord> = of_level.iter().map(|w| w.record).collect();
-            let payloads = store.read_payloads(variable, of_level[0].node.level, &records);
+            let payloads = self.payloads(of_level);
+            let (store, variable) = (&self.store, self.variable);
             let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
-                (w, payload.map_err(Into::into).and_then(|p| prepare(store, variable, w, p, step)))
+                let prepare = |p: Option<Arc<Payload>>| prepare(store, variable, w, p.as_deref(), step);
+                (w, payload.map_err(Into::into).and_then(prepare))
             });
             loaded.par_extend(prepared);
         }
         loaded
+    }
+
+    /// The payloads of bricks of one level: those that another step needed are still there, the others are read.
+    fn payloads(&mut self, of_level: &[Wanted]) -> Vec<Result<Option<Arc<Payload>>, StoreError>> {
+        let level = of_level[0].node.level;
+        let keys: Vec<Option<PayloadKey>> =
+            of_level.iter().map(|wanted| PayloadKey::new(level, &wanted.record)).collect();
+        let held: Vec<Option<Arc<Payload>>> =
+            keys.iter().map(|key| key.and_then(|key| self.payloads.get(&key))).collect();
+        let missing: Vec<SpanRecord> =
+            of_level.iter().zip(&held).filter(|(_, held)| held.is_none()).map(|(w, _)| w.record).collect();
+        let mut read = self.store.read_payloads(self.variable, level, &missing).into_iter();
+        let mut payloads = Vec::with_capacity(of_level.len());
+        for (key, held) in keys.into_iter().zip(held) {
+            let payload = match held {
+                Some(payload) => Ok(Some(payload)),
+                None => read.next().expect("one for each that is missing").map(|p| p.map(Arc::new)),
+            };
+            if let (Some(key), Ok(Some(payload))) = (key, &payload) {
+                self.payloads.insert(key, Arc::clone(payload), payload_bytes(payload));
+            }
+            payloads.push(payload);
+        }
+        payloads
     }
 
     /// The nearest ancestor of a damaged node that can be drawn in its place.
@@ -527,16 +583,32 @@ fn load_brick(store: &Store, variable: usize, wanted: &Wanted, step: u32) -> Loa
         SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
         _ => None,
     };
-    prepare(store, variable, wanted, payload, step)
+    prepare(store, variable, wanted, payload.as_ref(), step)
+}
+
+/// Bytes that a payload takes in memory, but for what is small.
+fn payload_bytes(payload: &Payload) -> usize {
+    let stage_bytes = |stage: &Stage| {
+        let indices = match &stage.indices {
+            Indices::U8(indices) => indices.len(),
+            Indices::U16(indices) => 2 * indices.len(),
+        };
+        let entries = match &stage.table {
+            Table::Affine { .. } => 0,
+            Table::Listed { entries, .. } => 2 * entries.len(),
+        };
+        size_of::<Stage>() + indices + entries
+    };
+    size_of::<Payload>() + payload.stages.iter().map(stage_bytes).sum::<usize>()
 }
 
 /// Makes a brick ready to be drawn, from its payload or its constant value.
-fn prepare(store: &Store, variable: usize, wanted: &Wanted, payload: Option<Payload>, step: u32) -> Loaded {
+fn prepare(store: &Store, variable: usize, wanted: &Wanted, payload: Option<&Payload>, step: u32) -> Loaded {
     let Wanted { node, record, .. } = wanted;
     let layout = &store.header().bricks;
     let mask = store.read_mask(variable, node.level, record)?;
     let resident = match (payload, record.kind) {
-        (Some(payload), _) => decode_resident(&payload, layout, step - record.start, mask)?,
+        (Some(payload), _) => decode_resident(payload, layout, step - record.start, mask)?,
         (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
         (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
     };

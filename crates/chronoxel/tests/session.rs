@@ -4,7 +4,7 @@ use std::path::Path;
 
 use chronoxel::session::{Moment, Session, View, orbit_camera};
 use chronoxel_core::{ColorMap, Lighting, TransferFunction};
-use chronoxel_ingest::{EncodeOptions, encode, sources};
+use chronoxel_ingest::{Codec, EncodeOptions, encode, sources};
 
 fn encoded(folder: &Path) -> std::path::PathBuf {
     let store = folder.join("plume.cxl");
@@ -70,6 +70,28 @@ fn a_step_reads_its_own_bytes_only() {
         session.bytes_from_disk()
     };
     assert!(read(&[0]) < read(&[0, 1]) && read(&[0, 1]) < read(&[0, 1, 2]));
+}
+
+#[test]
+fn a_payload_of_several_steps_is_read_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = folder.path().join("vortex.cxl");
+    let mut series = sources::open(&["sim:vortex?dims=32&steps=8".to_owned()], &Default::default()).unwrap();
+    let options =
+        EncodeOptions { codec: Codec::Palette, window: Some(8), brick_edge: 8, ..EncodeOptions::default() };
+    encode(series.as_mut(), &store, &options, &mut |_| {}).unwrap();
+    let played = |memory_bytes: u64| {
+        let mut session = Session::open(&store, None, memory_bytes).unwrap();
+        let view = view_of(&session, None);
+        let images: Vec<_> = (0..8).map(|step| session.draw(&view, step).unwrap().image).collect();
+        (images, session.bytes_from_disk())
+    };
+    let (images, bytes) = played(1 << 30);
+    // Too little memory to keep payloads: each step reads its own anew, and looks the same.
+    let (images_again, bytes_again) = played(110_000);
+    assert!(images == images_again);
+    // The bricks' windows start at eight different steps, so over eight steps each brick has two of them at most.
+    assert!(bytes_again > 3 * bytes, "{bytes} {bytes_again}");
 }
 
 #[test]

@@ -88,7 +88,12 @@ impl SourceHints {
     /// # Errors
     /// Whatever keeps it from being read.
     pub fn open(&self, common: &Common, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
-        let options = SourceOptions {
+        Ok(sources::open(source, &self.options(common))?)
+    }
+
+    /// The hints, as readers take them.
+    pub fn options(&self, common: &Common) -> SourceOptions {
+        SourceOptions {
             dims: self.dims,
             sample_type: self.dtype,
             big_endian: self.big_endian,
@@ -99,8 +104,7 @@ impl SourceHints {
             variables: self.variable.clone(),
             fill_value: self.fill_value,
             memory_bytes: Some(common.memory.0),
-        };
-        Ok(sources::open(source, &options)?)
+        }
     }
 }
 

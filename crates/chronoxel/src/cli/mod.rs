@@ -1,6 +1,7 @@
 //! The command line: one file per verb; arguments that several share are in `args` and `view`.
 
 mod args;
+mod bench;
 mod compare;
 mod demo;
 mod encode;
@@ -49,6 +50,7 @@ enum Verb {
     Movie(movie::MovieArgs),
     Play(play::PlayArgs),
     Compare(compare::CompareArgs),
+    Bench(bench::BenchArgs),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 it failed, 2 wrong usage, 130 interrupted.
@@ -80,6 +82,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Verb::Movie(args) => movie::run(common, args),
         Verb::Play(args) => play::run(common, args),
         Verb::Compare(args) => compare::run(common, args),
+        Verb::Bench(args) => bench::run(common, args),
     }
 }
 

@@ -169,3 +169,23 @@ fn a_demo_that_is_interrupted_can_be_run_again() {
     let names = names_in(&folder.join("made"));
     assert_eq!(names, ["shockbubble-colors.json", "shockbubble.cxl", "shockbubble.gif", "shockbubble.png"]);
 }
+
+#[test]
+fn a_bench_that_is_interrupted_leaves_nothing() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    let has = |end: &str| {
+        let entries = std::fs::read_dir(folder.join("out")).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).any(|place| place.join(end).exists())
+    };
+    // While a simulation is recorded, and while it is encoded.
+    for moment in ["", "encoded.cxl/zarr.json"] {
+        let mut child = start(folder, "bench lum2001 --out out --json");
+        wait_until(&mut child, || has(moment));
+        interrupt(&child);
+        let ran = Ran::new(moment, &child.wait_with_output().unwrap());
+        assert_eq!((ran.status, ran.stderr.as_str()), (130, "chronoxel: interrupted\n"), "{ran:#?}");
+        assert_eq!(ran.stdout, "");
+        assert!(names_in(&folder.join("out")).is_empty(), "{moment}");
+    }
+}

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bad_stores;
+mod bench;
 mod command;
 mod damage;
 mod encode;

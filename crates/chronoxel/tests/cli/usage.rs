@@ -59,6 +59,10 @@ fn wrong_usage_has_status_2_and_says_what_would_be_right() {
         ("play a.cxl --warm perhaps", "possible values"),
         ("compare a.png", "<B>"),
         ("demo --size huge", "possible values"),
+        ("bench", "<NAME>"),
+        ("bench nonsense", "lum2001"),
+        ("bench lum2001 --size huge", "possible values"),
+        ("bench lum2001 --source ''", "a value is required"),
     ] {
         let ran = run(folder.path(), line);
         assert_eq!(ran.status, 2, "{line}: {ran:#?}");
@@ -73,7 +77,8 @@ fn every_verb_explains_itself_with_an_example() {
     let folder = tempdir().unwrap();
     assert!(done(folder.path(), "--version").stdout.starts_with("chronoxel 0"));
     let overview = done(folder.path(), "--help").stdout;
-    for verb in ["demo", "encode", "info", "verify", "export", "render", "movie", "play", "compare"] {
+    for verb in ["demo", "encode", "info", "verify", "export", "render", "movie", "play", "compare", "bench"]
+    {
         assert!(overview.contains(&format!("  {verb} ")), "{overview}");
         let help = done(folder.path(), &format!("{verb} --help")).stdout;
         assert!(help.contains(&format!("  chronoxel {verb} ")), "{help}");

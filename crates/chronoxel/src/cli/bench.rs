@@ -1,0 +1,128 @@
+//! `bench`: tables of papers, measured again.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use chronoxel_ingest::sources::SourceOptions;
+use clap::{Args, ValueEnum, builder::NonEmptyStringValueParser};
+
+use super::{
+    args::{Common, SourceHints},
+    output,
+};
+use crate::{
+    bench::{BenchReport, Input, Workplace, lum2001},
+    progress::{Counted, Progress},
+};
+
+/// Reproduce a paper's tables: the paper's figures beside those measured here
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  chronoxel bench lum2001
+  chronoxel bench lum2001 --size full --out results
+  chronoxel bench lum2001 --source 'run/density_*.vti' --source 'sim:vortex?dims=96' --json
+
+Benches:
+  lum2001    temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step")]
+pub struct BenchArgs {
+    /// The bench, named after the paper
+    name: BenchName,
+    /// Data to measure besides the simulations: a path, a quoted glob, or a simulation, which takes the place of the
+    /// built-in one of its name; may be repeated
+    #[arg(long, value_name = "SOURCE", value_parser = NonEmptyStringValueParser::new())]
+    source: Vec<String>,
+    /// How large the simulations are: done within a minute or two, or near the paper's
+    #[arg(long, value_name = "SIZE", default_value = "small")]
+    size: BenchSize,
+    /// Folder to work in, and to write the report to, as text and as JSON [default: a temporary one, no files]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    hints: SourceHints,
+}
+
+/// Names of the benches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum BenchName {
+    /// Texture hardware assisted rendering of time-varying volume data (Lum, Ma, Clyne, 2001)
+    Lum2001,
+}
+
+/// Sizes of the simulations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum BenchSize {
+    Small,
+    Full,
+}
+
+/// Runs the verb.
+pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
+    let size = match args.size {
+        BenchSize::Small => lum2001::Size::Small,
+        BenchSize::Full => lum2001::Size::Full,
+    };
+    let names = match args.name {
+        BenchName::Lum2001 => lum2001::sources(&args.source, size),
+    };
+    let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
+    let parent = match &args.out {
+        Some(folder) => {
+            fs::create_dir_all(folder)
+                .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+            folder.clone()
+        }
+        None => std::env::temp_dir(),
+    };
+    let place = Workplace::within(&parent)?;
+    let mut bar: Option<Progress> = None;
+    let mut progress = |done, total| {
+        let quiet = common.quiet || common.json;
+        bar.get_or_insert_with(|| Progress::new("bench", total, Counted::Items("steps"), quiet)).set(done);
+    };
+    let report = match args.name {
+        BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
+    };
+    if let Some(bar) = bar {
+        bar.finish();
+    }
+    drop(place);
+    if let Some(folder) = &args.out {
+        write_report(folder, &report)?;
+    }
+    match common.json {
+        true => output::json(&report),
+        false if common.quiet => Ok(()),
+        false => output::line(&text(&report)),
+    }
+}
+
+/// Opens a source; what files do not say themselves is not said of simulations.
+fn open(common: &Common, hints: &SourceHints, name: &str) -> anyhow::Result<Input> {
+    let options = match name.starts_with("sim:") {
+        true => SourceOptions { memory_bytes: Some(common.memory.0), ..SourceOptions::default() },
+        false => hints.options(common),
+    };
+    Input::open(name, &options)
+}
+
+fn write_report(folder: &Path, report: &BenchReport) -> anyhow::Result<()> {
+    let files = [("json", serde_json::to_string_pretty(report)?), ("txt", text(report))];
+    for (extension, text) in files {
+        let path = folder.join(report.name).with_extension(extension);
+        fs::write(&path, text + "\n").with_context(|| format!("{}: cannot write", path.display()))?;
+    }
+    Ok(())
+}
+
+/// The tables for people.
+fn text(report: &BenchReport) -> String {
+    let mut text = format!("{} on {}", report.name, report.machine);
+    for section in &report.sections {
+        text += &format!("\n\n{}\n{}", section.title, output::table(&section.cells()));
+        section.notes.iter().for_each(|note| text += &format!("\n({note})"));
+    }
+    text
+}

@@ -1,0 +1,156 @@
+//! `bench`: the paper's figures beside those of a small run.
+
+use std::{collections::BTreeMap, fs};
+
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::{
+    command::{at, done, json, refused},
+    files::{names_in, npy_bytes},
+};
+
+/// Small enough for a test: simulations in place of the built-in ones, and a file.
+const LINE: &str = "bench lum2001 --source 'sim:vortex?dims=20&steps=8' --source 'sim:shockbubble?dims=24x12x12&steps=8' \
+                    --source drops.npy --out results";
+
+/// Eight steps of 14³ samples: a drop that moves along x over a ground that does not.
+fn drops() -> Vec<u8> {
+    let mut samples = Vec::new();
+    for t in 0..8 {
+        for z in 0..14 {
+            for y in 0..14 {
+                for x in 0..14 {
+                    let [dx, dy, dz] = [x as f32 - 3.0 - t as f32, y as f32 - 7.0, z as f32 - 6.0];
+                    let value = (-(dx * dx + dy * dy + dz * dz) / 8.0).exp() + 0.01 * (y * z) as f32;
+                    samples.extend(value.to_le_bytes());
+                }
+            }
+        }
+    }
+    npy_bytes("<f4", "8, 14, 14, 14", &samples)
+}
+
+/// The rows by their labels.
+fn rows(report: &Value) -> BTreeMap<String, Value> {
+    let rows = at(report, "rows").as_array().unwrap().iter();
+    let by_label: BTreeMap<String, Value> =
+        rows.clone().map(|row| (at(row, "label").as_str().unwrap().to_owned(), row.clone())).collect();
+    assert_eq!(by_label.len(), rows.len(), "two rows have the same label");
+    by_label
+}
+
+fn number(row: &Value, path: &str) -> f64 {
+    at(row, path).as_f64().unwrap_or_else(|| panic!("{path} in {row}"))
+}
+
+#[test]
+fn lum2001_stands_beside_what_was_measured() {
+    let folder = tempdir().unwrap();
+    fs::write(folder.path().join("drops.npy"), drops()).unwrap();
+    let report = json(folder.path(), LINE);
+    let keys: Vec<&str> = report.as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(keys.len(), 3, "{keys:?}");
+    assert_eq!(at(&report, "name"), "lum2001");
+    assert!(at(&report, "machine").as_str().unwrap().contains("threads"));
+    let rows = rows(&report);
+    for row in rows.values() {
+        assert_eq!(row.as_object().unwrap().len(), 3, "{row}");
+    }
+    check_errors(&rows);
+    check_rates(&rows);
+
+    // The paper's own data: its figures alone. Of a file the paper says nothing, but how long it takes.
+    let qg = rows.iter().filter(|(label, _)| label.contains("quasi-geostrophic"));
+    assert_eq!(qg.inspect(|(_, row)| assert_eq!(row["here"].as_object().unwrap().len(), 0)).count(), 7);
+    let qg = &rows["Table 5, mean square error: quasi-geostrophic turbulent flow, 256^3, 1492 steps, not measured here: 8x"];
+    assert_eq!(number(qg, "paper.mse_avg"), 0.000075);
+    assert_eq!(
+        rows["mean square error: drops.npy: 2x, vector palette"]["paper"].as_object().unwrap().len(),
+        0
+    );
+
+    // The report lies where it was asked for, and nothing else.
+    assert_eq!(names_in(folder.path()), ["drops.npy", "results"]);
+    assert_eq!(names_in(&folder.path().join("results")), ["lum2001.json", "lum2001.txt"]);
+    let written = fs::read_to_string(folder.path().join("results/lum2001.json")).unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&written).unwrap(), report);
+    let text = fs::read_to_string(folder.path().join("results/lum2001.txt")).unwrap();
+    assert!(text.contains("Table 6, mean square error: sim:vortex?dims=20&steps=8\n"), "{text}");
+}
+
+fn check_errors(rows: &BTreeMap<String, Value>) {
+    for source in [
+        "Table 6, mean square error: sim:vortex?dims=20&steps=8",
+        "Table 7, mean square error: sim:shockbubble?dims=24x12x12&steps=8",
+        "mean square error: drops.npy",
+    ] {
+        let row = |ratio: &str, codec: &str| &rows[&format!("{source}: {ratio}, {codec}")];
+        for codec in ["product palette", "product palette per slice", "vector palette"] {
+            let mse = ["2x", "4x", "8x"].map(|ratio| number(row(ratio, codec), "here.mse_avg"));
+            assert!(0.0 < mse[0] && mse[0] < mse[1] && mse[1] < mse[2], "{source}, {codec}: {mse:?}");
+            let eight = row("8x", codec);
+            let [min, max] = ["here.mse_min", "here.mse_max"].map(|key| number(eight, key));
+            assert!(min <= mse[2] && mse[2] <= max && max < 0.05, "{eight}");
+            let psnr = number(eight, "here.psnr_db");
+            assert!((psnr + 10.0 * mse[2].log10()).abs() < 1e-9, "{eight}");
+            let [all, core] =
+                ["here.bits_per_sample", "here.bits_per_sample_without_apron"].map(|k| number(eight, k));
+            assert!(0.0 < core && core < all, "{eight}");
+        }
+        for ratio in ["2x", "4x", "8x"] {
+            let [vector, product] =
+                ["vector palette", "product palette"].map(|codec| number(row(ratio, codec), "here.mse_avg"));
+            assert!(vector <= product, "{source}, {ratio}: {vector} {product}");
+        }
+    }
+    let vortex = &rows["Table 6, mean square error: sim:vortex?dims=20&steps=8: 4x, vector palette"];
+    assert_eq!(number(vortex, "paper.mse_avg"), 0.000304);
+    let shock =
+        &rows["Table 7, mean square error: sim:shockbubble?dims=24x12x12&steps=8: 2x, product palette"];
+    assert_eq!(number(shock, "paper.mse_max"), 0.000017);
+}
+
+fn check_rates(rows: &BTreeMap<String, Value>) {
+    for source in [
+        "Table 4, frames per second: sim:vortex?dims=20&steps=8",
+        "Table 3, frames per second: sim:shockbubble?dims=24x12x12&steps=8",
+        "frames per second: drops.npy",
+    ] {
+        let row = |ratio: &str| &rows[&format!("{source}: {ratio}")];
+        let all =
+            ["1x, 8 bits", "2x, product palette", "4x, product palette", "8x, product palette"].map(row);
+        for row in all {
+            assert!(
+                number(row, "here.fps_in_core") > 0.0 && number(row, "here.fps_out_of_core") > 0.0,
+                "{row}"
+            );
+            assert!(
+                number(row, "here.ms_per_step") > 0.0 && number(row, "here.steps_in_core") == 8.0,
+                "{row}"
+            );
+            let share = number(row, "here.window_share");
+            assert!((0.1..0.3334).contains(&share), "{row}");
+        }
+        assert!(number(all[3], "here.bytes_per_step") < number(all[0], "here.bytes_per_step"), "{source}");
+    }
+    let shock =
+        &rows["Table 3, frames per second: sim:shockbubble?dims=24x12x12&steps=8: 8x, product palette"];
+    assert_eq!([number(shock, "paper.fps_in_core"), number(shock, "paper.fps_out_of_core")], [11.7, 5.8]);
+    let time = &rows["seconds to encode a step of 256^3: drops.npy: 2x, vector palette"];
+    assert!(number(time, "here.secs_per_step") > 0.0);
+    assert_eq!(number(time, "paper.secs_per_step_max"), 15.0);
+}
+
+#[test]
+fn a_source_that_is_not_there_is_told_before_anything_is_measured() {
+    let folder = tempdir().unwrap();
+    refused(folder.path(), "bench lum2001 --source absent.npy --out results", &["absent.npy"]);
+}
+
+#[test]
+fn help_names_the_benches() {
+    let folder = tempdir().unwrap();
+    let help = done(folder.path(), "bench --help").stdout;
+    assert!(help.contains("lum2001") && help.contains("chronoxel bench lum2001 --size full"), "{help}");
+}
