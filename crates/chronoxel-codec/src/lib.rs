@@ -32,5 +32,5 @@ pub use quantize::{SampleValue, quantize_affine};
 pub use rate::{
     CodedPiece, Piece, RateOptions, RatePoint, Run, allocate, choose_points, first_slopes, rate_points,
 };
-pub use vq::{VectorTable, code_stages, vector_palette};
-pub use window::{Palette, UnitWindow};
+pub use vq::{VectorTable, vector_palette};
+pub use window::{Palette, UnitWindow, code_stages};

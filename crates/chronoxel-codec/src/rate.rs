@@ -17,6 +17,9 @@ const FIRST_FACTOR: f64 = 16.0;
 /// Slopes near a budget, as factors of the one that is expected to meet it.
 const FACTORS_NEAR: [f64; 3] = [0.3, 1.0, 3.0];
 
+/// Slopes around one that suited bricks alike.
+const FACTORS_AROUND: [f64; 2] = [0.4, 2.5];
+
 /// Bricks on which all rates are tried.
 const NUM_PROBED: usize = 4;
 /// Neighbouring slopes around a budget differ by no more than this factor.
@@ -33,7 +36,10 @@ const MOST_ROUNDS: usize = 12;
 ///
 /// * `num_bricks`: bricks of the group; the result depends on no others
 /// * `range`: width of the variable's range, > 0
+/// * `start`: a slope that suits bricks like these, where one is known: no few are tried first then
 /// * `evaluate`: for each of the bricks named the [`rate_points`] at the slopes named
+///
+/// Returns the slope near the budget too, to start from with bricks like these.
 ///
 /// # Errors
 /// Those of `evaluate`.
@@ -41,14 +47,21 @@ pub fn choose_points<E>(
     num_bricks: usize,
     range: f64,
     budget_bytes: u64,
+    start: Option<f64>,
     mut evaluate: impl FnMut(&[usize], &[f64]) -> Result<Vec<Vec<RatePoint>>, E>,
-) -> Result<Vec<RatePoint>, E> {
+) -> Result<(Vec<RatePoint>, f64), E> {
     let all: Vec<usize> = (0..num_bricks).collect();
-    let probed: Vec<usize> = all.iter().copied().step_by(num_bricks.div_ceil(NUM_PROBED).max(1)).collect();
-    let first = first_slopes(range);
-    let bytes = bytes_of(&evaluate(&probed, &first)?, first.len());
-    let share = probed.len() as f64 / num_bricks.max(1) as f64;
-    let mut slopes = slopes_for(&first, &bytes, (budget_bytes as f64 * share) as u64);
+    let mut slopes = match start {
+        Some(slope) => FACTORS_AROUND.map(|factor| slope * factor).to_vec(),
+        None => {
+            let probed: Vec<usize> =
+                all.iter().copied().step_by(num_bricks.div_ceil(NUM_PROBED).max(1)).collect();
+            let first = first_slopes(range);
+            let bytes = bytes_of(&evaluate(&probed, &first)?, first.len());
+            let share = probed.len() as f64 / num_bricks.max(1) as f64;
+            slopes_for(&first, &bytes, (budget_bytes as f64 * share) as u64)
+        }
+    };
     let mut points: Vec<Vec<RatePoint>> = vec![Vec::new(); num_bricks];
     let mut tried: Vec<(f64, u64)> = Vec::new();
     for _ in 0..MOST_ROUNDS {
@@ -60,7 +73,22 @@ pub fn choose_points<E>(
         slopes = vec![slope];
     }
     let chosen = allocate(&points, budget_bytes);
-    Ok(chosen.into_iter().zip(points).map(|(at, mut points)| points.swap_remove(at)).collect())
+    let chosen = chosen.into_iter().zip(points).map(|(at, mut points)| points.swap_remove(at));
+    Ok((chosen.collect(), slope_at(&tried, budget_bytes)))
+}
+
+/// The slope at which bricks take the budget, as near as those tried tell.
+///
+/// * `tried`: slopes, increasing, and the bytes that all bricks take there
+fn slope_at(tried: &[(f64, u64)], budget_bytes: u64) -> f64 {
+    match tried.iter().position(|&(_, bytes)| bytes <= budget_bytes) {
+        None => tried.last().map_or(0.0, |&(slope, _)| slope),
+        Some(0) => tried[0].0,
+        Some(at) => {
+            let [(low, more), (high, less)] = [tried[at - 1], tried[at]];
+            between(low, high, more, less, budget_bytes)
+        }
+    }
 }
 
 /// Bytes of all bricks together at each slope.

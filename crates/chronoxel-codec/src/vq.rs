@@ -11,9 +11,7 @@ use std::collections::HashSet;
 
 pub use nearest::{Entries, InstructionSet, Nearest, Vectors, nearest, nearest_with};
 
-use chronoxel_core::BrickLayout;
-
-use crate::{CodecError, Indices, Palette, Payload, ProductQuantizer, UnitWindow, product_palette};
+use crate::{Indices, Palette, ProductQuantizer, UnitWindow, product_palette};
 
 /// Vectors that are trained on, for each entry, but at least [`LEAST_TRAINED`] in all.
 const TRAINED_PER_ENTRY: usize = 24;
@@ -39,32 +37,6 @@ const PRICED_ROUNDS: usize = 4;
 /// * `num_entries`: 1 to 65,536; with up to 256 the indices have 8 bits
 pub fn vector_palette(window: &UnitWindow, num_entries: usize) -> Palette {
     VectorTable::train(window, num_entries).palette()
-}
-
-/// Stages of vector palettes: each trained on what those before it leave, until nothing is left.
-///
-/// * `num_stages`: most stages, at least 1
-/// * `num_entries`: entries of each table
-/// * `num_rows`: rows of each table, at least the steps of the window
-///
-/// # Errors
-/// [`CodecError::InvalidArgument`] where the tables have fewer rows than the window has steps.
-pub fn code_stages(
-    window: &UnitWindow,
-    layout: &BrickLayout,
-    num_stages: usize,
-    num_entries: usize,
-    num_rows: usize,
-) -> Result<Payload, CodecError> {
-    let palette = vector_palette(window, num_entries);
-    let mut stages = vec![palette.to_stage(window, layout, num_entries, num_rows)?];
-    let mut left = window.residual(&palette);
-    while stages.len() < num_stages && left.width > 0.0 {
-        let palette = vector_palette(&left, num_entries);
-        stages.push(palette.to_stage(&left, layout, num_entries, num_rows)?);
-        left = left.residual(&palette);
-    }
-    Ok(Payload { stages })
 }
 
 /// A table trained on a window: what palettes of several prices of a bit are made from.

@@ -3,7 +3,7 @@
 
 use chronoxel_core::BrickLayout;
 
-use crate::{CodecError, Indices, SampleValue, Stage, Table, quantize::range_of};
+use crate::{CodecError, Indices, Payload, SampleValue, Stage, Table, quantize::range_of};
 
 /// The largest entry of a listed table.
 const LARGEST_ENTRY: f64 = 65535.0;
@@ -119,6 +119,36 @@ impl UnitWindow {
 /// The entry of a table for a value of a window.
 fn entry_of(value: f32) -> u16 {
     (value * LARGEST_ENTRY as f32).round_ties_even() as u16
+}
+
+/// Stages of palettes: each made for what those before it leave, until nothing is left.
+///
+/// * `num_stages`: most stages, at least 1
+/// * `num_entries`: entries of each table
+/// * `num_rows`: rows of each table, at least the steps of the window
+/// * `palette_of`: makes the palette of a stage
+///
+/// # Errors
+/// [`CodecError::InvalidArgument`] where the tables are smaller than the palettes.
+pub fn code_stages(
+    window: &UnitWindow,
+    layout: &BrickLayout,
+    num_stages: usize,
+    num_entries: usize,
+    num_rows: usize,
+    palette_of: impl Fn(&UnitWindow) -> Palette,
+) -> Result<Payload, CodecError> {
+    let mut palette = palette_of(window);
+    let mut stages = vec![palette.to_stage(window, layout, num_entries, num_rows)?];
+    if num_stages > 1 {
+        let mut left = window.residual(&palette);
+        while stages.len() < num_stages && left.width > 0.0 {
+            palette = palette_of(&left);
+            stages.push(palette.to_stage(&left, layout, num_entries, num_rows)?);
+            left = left.residual(&palette);
+        }
+    }
+    Ok(Payload { stages })
 }
 
 impl Palette {

@@ -153,14 +153,20 @@ fn every_rate_is_met_from_below_with_less_error_for_more_bytes() {
         if !probed_moves {
             group[1] = bricks[0].1.iter().map(|step| &step[..]).collect();
         }
-        let mut last = f64::INFINITY;
+        let (mut last, mut start) = (f64::INFINITY, None);
         for bits in [0.05, 0.2, 1.0, 2.0, 4.0, 8.0, 12.0] {
             let budget = (bits / 8.0 * (group.len() * STEPS * layout.num_full()) as f64) as u64;
-            let chosen = choose_points(group.len(), 4.0, budget, |bricks: &[usize], slopes: &[f64]| {
-                let run = |&b: &usize| Run { steps: &group[b], trained: &trained, layout: &layout };
-                bricks.iter().map(|b| rate_points(&run(b), slopes, &options)).collect::<Result<Vec<_>, _>>()
-            })
-            .unwrap();
+            let (chosen, slope) =
+                choose_points(group.len(), 4.0, budget, start, |bricks: &[usize], slopes: &[f64]| {
+                    let run = |&b: &usize| Run { steps: &group[b], trained: &trained, layout: &layout };
+                    bricks
+                        .iter()
+                        .map(|b| rate_points(&run(b), slopes, &options))
+                        .collect::<Result<Vec<_>, _>>()
+                })
+                .unwrap();
+            // Bricks like these: every other rate starts from the slope of the one before.
+            start = start.map_or(Some(slope), |_| None);
             let sum: u64 = chosen.iter().map(|point| point.bytes).sum();
             let error: f64 = chosen.iter().map(|point| point.squared_error).sum();
             let least: u64 = (group.len() * 2 * options.span_bytes as usize) as u64;

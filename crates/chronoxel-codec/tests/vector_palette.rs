@@ -211,7 +211,8 @@ fn each_stage_lowers_the_error() {
     let window = window_of(&steps, core_of(&layout));
     let mut last = f64::INFINITY;
     for num_stages in 1..=3 {
-        let payload = code_stages(&window, &layout, num_stages, 256, 8).unwrap();
+        let payload =
+            code_stages(&window, &layout, num_stages, 256, 8, |left| vector_palette(left, 256)).unwrap();
         assert_eq!(payload.stages.len(), num_stages);
         let error: f64 = (0..8)
             .map(|t| {
@@ -224,7 +225,10 @@ fn each_stage_lowers_the_error() {
         last = error;
     }
     let constant = window_of(&vec![vec![3.0; layout.num_full()]; 4], core_of(&layout));
-    assert_eq!(code_stages(&constant, &layout, 3, 256, 4).unwrap().stages.len(), 1);
+    assert_eq!(
+        code_stages(&constant, &layout, 3, 256, 4, |left| vector_palette(left, 256)).unwrap().stages.len(),
+        1
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Windows as palettes: lum2001's codec and the vector palette, over whole windows of fixed length.
 
 use chronoxel_codec::{
-    CodecError, Palette, Payload, PayloadClass, StageClass, TableClass, UnitWindow, decoded_range,
+    CodecError, PayloadClass, StageClass, TableClass, UnitWindow, code_stages, decoded_range,
     product_palette, vector_palette,
 };
 use chronoxel_core::BrickLayout;
@@ -43,35 +43,11 @@ pub fn piece<T: Real>(
     num_stages: usize,
     layout: &BrickLayout,
 ) -> Result<Piece, CodecError> {
-    let samples: Vec<&[T]> = node.samples[steps.clone()].iter().flatten().map(Vec::as_slice).collect();
-    let payload =
-        payload(UnitWindow::new(&samples, node.trained(steps.start))?, window, kind, num_stages, layout)?;
+    let unit = UnitWindow::new(&node.samples_of(steps.clone()), node.trained(steps.start))?;
+    let payload = code_stages(&unit, layout, num_stages, NUM_ENTRIES, window as usize, |unit| match kind {
+        PaletteKind::Product => product_palette(unit, NUM_ENTRIES.ilog2()),
+        PaletteKind::Vector => vector_palette(unit, NUM_ENTRIES),
+    })?;
     let drawn_range = decoded_range(&payload, layout, steps.len() as u32)?;
     Ok(Piece { start: steps.start, len: steps.len(), window, choice: Choice::Coded(payload), drawn_range })
-}
-
-/// A payload of up to `num_stages` stages, each coding what those before left.
-fn payload(
-    mut samples: UnitWindow,
-    window: u32,
-    kind: PaletteKind,
-    num_stages: usize,
-    layout: &BrickLayout,
-) -> Result<Payload, CodecError> {
-    let mut stages = Vec::with_capacity(num_stages);
-    loop {
-        let palette: Palette = match kind {
-            PaletteKind::Product => product_palette(&samples, NUM_ENTRIES.ilog2()),
-            PaletteKind::Vector => vector_palette(&samples, NUM_ENTRIES),
-        };
-        stages.push(palette.to_stage(&samples, layout, NUM_ENTRIES, window as usize)?);
-        if stages.len() == num_stages {
-            break;
-        }
-        samples = samples.residual(&palette);
-        if samples.width == 0.0 {
-            break;
-        }
-    }
-    Ok(Payload { stages })
 }

@@ -3,7 +3,7 @@
 //! What a group leaves of its share is spread over all groups to come, so that the series as a whole meets the rate, and
 //! quiet times save for busy ones.
 
-use chronoxel_codec::rate::{CodedPiece, RateOptions, RatePoint, Run, allocate, first_slopes, rate_points};
+use chronoxel_codec::rate::{CodedPiece, RateOptions, RatePoint, Run, choose_points, rate_points};
 use chronoxel_codec::{CodecError, PayloadClass, decoded_range};
 use chronoxel_core::LevelGeometry;
 use chronoxel_store::stored_len;
@@ -14,14 +14,10 @@ use super::coding::Choice;
 use super::node::{NodeSteps, Piece, Section};
 use super::palettes;
 use super::real::Real;
-use super::windowed::{CHOOSING_LEVEL, NodeCoder};
+use super::windowed::NodeCoder;
 
 /// Nodes that share a budget. Fixed, since what comes out depends on it.
 pub const GROUP: usize = 16;
-/// Rounds in which the slopes that bracket a budget are looked for.
-const MOST_ROUNDS: usize = 8;
-/// The two slopes of a round are so far apart.
-const BRACKET: f64 = 4.0;
 const MAX_STAGES: usize = 3;
 const NUM_ENTRIES: usize = 256;
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
@@ -127,49 +123,26 @@ fn choose<T: Real>(
     spending: &mut Spending,
     coder: &NodeCoder<'_>,
 ) -> Result<Vec<RatePoint>, (usize, CodecError)> {
+    if coded.is_empty() {
+        return Ok(Vec::new());
+    }
     let [low, high] = coder.range;
-    let all = first_slopes((high - low).clamp(f64::MIN_POSITIVE, 0.5 * f64::MAX.sqrt()));
-    let mut slope = spending.slope.unwrap_or(all[all.len() / 2]);
-    let mut points: Vec<Vec<RatePoint>> = coded.iter().map(|_| Vec::new()).collect();
-    // Of the slopes tried: the largest that exceeds the budget, the smallest that does not.
-    let (mut below, mut above) = (None::<f64>, None::<f64>);
-    for _ in 0..MOST_ROUNDS {
-        let slopes = [slope / BRACKET.sqrt(), slope * BRACKET.sqrt()];
-        let found: Vec<_> = coded.par_iter().map(|coded| coded.points(&slopes, coder)).collect();
-        let mut bytes = [0, 0];
-        for ((coded, points), found) in coded.iter().zip(&mut points).zip(found) {
-            let found = found.map_err(|source| (coded.node, source))?;
-            bytes.iter_mut().zip(&found).for_each(|(sum, point)| *sum += point.bytes);
-            points.extend(found);
-        }
-        for (slope, bytes) in slopes.into_iter().zip(bytes) {
-            match bytes > budget {
-                true => below = Some(below.map_or(slope, |s| s.max(slope))),
-                false => above = Some(above.map_or(slope, |s| s.min(slope))),
-            }
-        }
-        slope = match (below, above) {
-            (Some(below), Some(above)) if above <= BRACKET * BRACKET * below => break,
-            (Some(below), Some(above)) => (below * above).sqrt(),
-            (Some(below), None) if below < all[all.len() - 1] => below * BRACKET * BRACKET,
-            (None, Some(above)) if above > all[0] => above / (BRACKET * BRACKET),
-            _ => break,
-        };
-    }
-    if !coded.is_empty() {
-        spending.slope = match (below, above) {
-            (Some(below), Some(above)) => Some((below * above).sqrt()),
-            (one, other) => one.or(other),
-        };
-    }
-    let chosen = allocate(&points, budget);
-    let take = |(mut points, at): (Vec<RatePoint>, usize)| points.swap_remove(at);
-    Ok(points.into_iter().zip(chosen).map(take).collect())
+    let range = (high - low).clamp(f64::MIN_POSITIVE, 0.5 * f64::MAX.sqrt());
+    let evaluate = |bricks: &[usize], slopes: &[f64]| {
+        let points = bricks
+            .par_iter()
+            .map(|&at| coded[at].points(slopes, coder).map_err(|source| (coded[at].node, source)));
+        points.collect::<Vec<_>>().into_iter().collect()
+    };
+    let (chosen, slope) = choose_points(coded.len(), range, budget, spending.slope, evaluate)?;
+    // None is suggested by a group without a choice.
+    spending.slope = Some(slope).filter(|slope| *slope > 0.0);
+    Ok(chosen)
 }
 
 impl<T: Real> Coded<'_, T> {
     fn points(&self, slopes: &[f64], coder: &NodeCoder<'_>) -> Result<Vec<RatePoint>, CodecError> {
-        let stored = |bytes: &[u8]| stored_len(bytes, CHOOSING_LEVEL);
+        let stored = |bytes: &[u8]| stored_len(bytes, coder.zstd_level);
         let options = RateOptions {
             max_window: self.section.width,
             max_stages: MAX_STAGES,

@@ -310,6 +310,7 @@ impl VariableStep<'_> {
             tree: stepper.tree,
             method,
             range: self.coding.range.unwrap_or(ranges[ranges.len() - 1]),
+            zstd_level: writer.header().zstd_level,
             classes: self.classes,
             variable: &self.coding.name,
             window,

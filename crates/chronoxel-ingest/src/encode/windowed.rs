@@ -22,7 +22,7 @@ use super::step::{CutBrick, TakeBatch};
 use super::timing::Timing;
 use crate::EncodeError;
 
-/// Level of zstd at which candidates are weighed: what is stored at a higher level ranks them alike, but for less time.
+/// Level of zstd at which candidates within a bound are weighed: what is stored at a higher level ranks them alike, but for less time.
 pub const CHOOSING_LEVEL: i32 = 1;
 
 /// How windows are coded.
@@ -106,6 +106,8 @@ pub struct NodeCoder<'a> {
     pub method: Method,
     /// The range that relative errors refer to.
     pub range: [f64; 2],
+    /// Level of zstd in the store.
+    pub zstd_level: i32,
     /// The classes that payloads may have.
     pub classes: &'a [PayloadClass],
     /// Name of the variable, for messages.
