@@ -63,7 +63,7 @@ const SHOCK_BUBBLE: PaperData = PaperData {
     name: "shock-bubble flow, 640x256x256, 265 steps",
     simulation: Some(Simulation {
         name: "shockbubble",
-        small: "sim:shockbubble?dims=96x48x48&steps=32",
+        small: "sim:shockbubble?dims=96x48x48&steps=64",
         full: "sim:shockbubble?dims=320x128x128&steps=100",
     }),
     error_table: 7,
@@ -403,7 +403,7 @@ mod tests {
     fn a_simulation_of_the_user_takes_the_place_of_the_built_in_one() {
         assert_eq!(
             sources(&[], Size::Small),
-            ["sim:vortex?dims=64&steps=32", "sim:shockbubble?dims=96x48x48&steps=32"]
+            ["sim:vortex?dims=64&steps=32", "sim:shockbubble?dims=96x48x48&steps=64"]
         );
         let users = ["run.npy", "sim:vortex?dims=16"].map(str::to_owned);
         assert_eq!(
