@@ -23,7 +23,7 @@ const FACTORS_AROUND: [f64; 2] = [0.4, 2.5];
 /// Bricks on which all rates are tried.
 const NUM_PROBED: usize = 4;
 /// Neighbouring slopes around a budget differ by no more than this factor.
-const CLOSE: f64 = 12.0;
+const CLOSE: f64 = 4.0;
 /// Bricks that take this part of a budget have met it.
 const MET: f64 = 0.97;
 /// Most rounds of looking for slopes.

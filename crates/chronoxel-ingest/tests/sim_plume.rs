@@ -78,7 +78,7 @@ fn a_cloud_moves_and_spreads_as_the_closed_form_says() {
 
 #[test]
 fn nearly_all_samples_are_exactly_zero_and_the_deposit_stays() {
-    let steps = steps_of("sim:plume?dims=48&steps=12", &(0..12).collect::<Vec<_>>());
+    let steps = steps_of("sim:plume?dims=48&steps=12&limit=1", &(0..12).collect::<Vec<_>>());
     let num_samples: usize = steps.iter().map(Vec::len).sum();
     let num_zero = steps.iter().flatten().filter(|&&c| c == 0.0).count();
     assert!(num_zero as f64 > 0.98 * num_samples as f64, "{num_zero} of {num_samples}");

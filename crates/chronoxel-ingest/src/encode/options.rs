@@ -122,7 +122,10 @@ pub struct EncodeReport {
 
 impl EncodeOptions {
     /// Checks the options in themselves.
-    pub(super) fn check(&self) -> Result<(), EncodeError> {
+    ///
+    /// # Errors
+    /// [`EncodeError::InvalidArgument`] for one that is out of range or contradicts another.
+    pub fn check(&self) -> Result<(), EncodeError> {
         let invalid = |argument, value: String, remedy: &str| {
             Err(EncodeError::InvalidArgument { argument, value, remedy: remedy.into() })
         };

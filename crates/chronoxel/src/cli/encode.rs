@@ -11,6 +11,7 @@ use chronoxel_ingest::{
 };
 
 use super::{
+    WrongUsage,
     args::{Common, SourceArgs, parse_not_negative, parse_range, parse_store_path},
     output,
 };
@@ -107,7 +108,6 @@ pub struct EncodeSummary {
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
-    let mut series = args.source.open(common)?;
     let options = EncodeOptions {
         codec: match args.codec {
             CodecName::Auto => Codec::Auto,
@@ -129,6 +129,8 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
         overwrite: args.overwrite,
         ..options_of(common)
     };
+    options.check().map_err(|error| WrongUsage(error.to_string()))?;
+    let mut series = args.source.open(common)?;
     let summary = encode_series(common, series.as_mut(), &args.output, &options)?;
     match common.json {
         true => output::json(&summary),

@@ -53,6 +53,18 @@ enum Verb {
     Bench(bench::BenchArgs),
 }
 
+/// Options that contradict each other: as wrong as one that does not exist.
+#[derive(Debug)]
+struct WrongUsage(String);
+
+impl std::fmt::Display for WrongUsage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for WrongUsage {}
+
 /// Runs the command line of this process. Exit status: 0 done, 1 it failed, 2 wrong usage, 130 interrupted.
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
@@ -60,6 +72,10 @@ pub fn run() -> ExitCode {
     match dispatch(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(_) if interrupt::told() => ExitCode::from(interrupt::EXIT_STATUS),
+        Err(error) if error.is::<WrongUsage>() => {
+            eprintln!("error: {error}\n\nFor more information, try '--help'.");
+            ExitCode::from(2)
+        }
         Err(error) => {
             output::error(&error);
             ExitCode::FAILURE

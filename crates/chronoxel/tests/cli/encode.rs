@@ -167,7 +167,7 @@ fn threads_and_memory_do_not_change_a_byte() {
     let folder = tempdir().unwrap();
     let folder = folder.path();
     let source = "'sim:plume?dims=40x40x24&steps=3'";
-    for (name, options) in [("a", "--threads 1"), ("b", "--threads 3"), ("c", "--threads 2 --memory 13MiB")] {
+    for (name, options) in [("a", "--threads 1"), ("b", "--threads 3"), ("c", "--threads 2 --memory 24MiB")] {
         done(folder, &format!("encode {source} -o {name}.cxl --brick 16 --max-error 0.001 -q {options}"));
         assert_same_folders(&folder.join("a.cxl"), &folder.join(format!("{name}.cxl")));
     }
