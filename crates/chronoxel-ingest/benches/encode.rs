@@ -1,4 +1,4 @@
-//! How many bytes of f32 samples per second are encoded from a warm file with `--codec raw`.
+//! How many bytes of f32 samples per second are encoded from a warm file, by each codec.
 //!
 //! `CHRONOXEL_BENCH_THREADS` sets the number of threads, 2 by default.
 
@@ -88,18 +88,27 @@ impl StepReader for RawReader {
     }
 }
 
-fn encode_raw(criterion: &mut Criterion) {
+fn encode_all(criterion: &mut Criterion) {
     let threads = std::env::var("CHRONOXEL_BENCH_THREADS").ok().and_then(|n| n.parse().ok()).unwrap_or(2);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let store = folder.path().join("bench.cxl");
-    let options = EncodeOptions { codec: Codec::Raw, overwrite: true, ..EncodeOptions::default() };
-    let mut group = criterion.benchmark_group("encode_raw_f32");
+    let overwriting = EncodeOptions { overwrite: true, ..EncodeOptions::default() };
+    let with = |codec| EncodeOptions { codec, ..overwriting.clone() };
+    let cases = [
+        ("raw", with(Codec::Raw), 128, 8),
+        ("raw", with(Codec::Raw), 256, 2),
+        ("palette, window 8", with(Codec::Palette), 128, 16),
+        ("vq, window 8", with(Codec::Vq), 128, 16),
+        ("auto, max error 0.001", EncodeOptions { max_error: Some(1e-3), ..overwriting.clone() }, 128, 16),
+        ("auto, max error 0.01", EncodeOptions { max_error: Some(1e-2), ..overwriting.clone() }, 128, 16),
+    ];
+    let mut group = criterion.benchmark_group("encode_f32");
     group.sample_size(10);
-    for (edge, num_steps) in [(128, 8), (256, 2)] {
+    for (name, options, edge, num_steps) in cases {
         let mut files = Files::new(folder.path(), edge, num_steps);
         group.throughput(Throughput::Bytes((4 * edge.pow(3) * num_steps) as u64));
-        group.bench_function(format!("{edge}^3 x {num_steps} steps"), |bencher| {
+        group.bench_function(format!("{name}, {edge}^3 x {num_steps} steps"), |bencher| {
             bencher.iter(|| {
                 let report = pool.install(|| encode(&mut files, &store, &options, &mut |_| {}));
                 black_box(report.unwrap())
@@ -109,5 +118,5 @@ fn encode_raw(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, encode_raw);
+criterion_group!(benches, encode_all);
 criterion_main!(benches);

@@ -163,6 +163,41 @@ fn a_resume_inside_windows_gives_the_same_bytes() {
     }
 }
 
+/// Infinities and NaN, denormals, huge samples, constants and bricks of two values, in time as well as in space.
+#[test]
+fn nothing_that_a_float_can_be_breaks_a_codec() {
+    type Field = fn(usize, [usize; 3]) -> f64;
+    let fields: [(&str, Field); 7] = [
+        ("infinite", |s, [x, y, _]| if (x + s) % 5 == 0 { f64::INFINITY } else { (x * y) as f64 }),
+        ("nan for a while", |s, [x, y, z]| if s % 3 == 1 { f64::NAN } else { (x + y * z + s) as f64 }),
+        ("all nan but one", |s, p| if p == [3, 2, 1] { s as f64 } else { f64::NAN }),
+        ("denormal", |s, [x, y, z]| f64::from(f32::from_bits(((x + 3 * y + z) * (s + 1)) as u32))),
+        ("huge", |s, [x, _, z]| if (x + z + s) % 2 == 0 { 3e38 } else { -3e38 }),
+        ("constant", |_, _| f64::from(-0.1f32)),
+        ("two values", |s, [x, y, z]| if (x ^ y ^ z ^ s) & 1 == 0 { 7.25 } else { f64::from(1e-20f32) }),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    for (what, field) in fields {
+        for sample_type in [SampleType::F32, SampleType::F64] {
+            let mut series = MemorySeries::of([20, 9, 10], sample_type, 6, field);
+            for (name, options) in codecs() {
+                let path = folder.path().join("s.cxl");
+                let options = EncodeOptions { overwrite: true, brick_edge: 8, ..options };
+                run(&mut series, &path, &options).unwrap_or_else(|e| panic!("{what}, {name}: {e}"));
+                let store = assert_sound(&path);
+                let found = measure(&store, &mut series, 0..6).unwrap();
+                assert!(found.problems.is_empty(), "{what}, {name}: {:?}", found.problems);
+                let bound = options.max_error.unwrap_or(1.0);
+                let largest = found.variables[0].max_abs_error;
+                assert!(largest <= bound, "{what}, {name}: {largest}");
+                if ["constant", "two values"].contains(&what) && name != "rate" && name != "slice" {
+                    assert!(largest <= 1e-5, "{what}, {name}: {largest}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn integers_are_lossless_at_a_bound_of_zero() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,7 +2,7 @@
 //!
 //! Windows of a node start at `phase + k · L`. Phases differ from node to node, so that no step replaces more than about
 //! one in `L` of the bricks, and no whole plane of them (lum2001, section 3.4). What precedes the first start is a window
-//! of its own that lacks its first steps, as the last one may lack its last.
+//! of its own that lacks its first steps, as the last one may lack its last. A series no longer than a window is one window.
 
 use chronoxel_core::NodeId;
 
@@ -19,7 +19,13 @@ impl Timing {
     /// `(x + 3 y + 5 z) mod L` of the node's brick.
     pub fn phase(&self, node: NodeId) -> u32 {
         let [x, y, z] = node.brick().map(u64::from);
-        ((x + 3 * y + 5 * z) % u64::from(self.window)) as u32
+        self.phase_of(x + 3 * y + 5 * z)
+    }
+
+    /// That of a node whose place counts as `place`.
+    pub fn phase_of(&self, place: u64) -> u32 {
+        // There is no border between windows to spread where there is one window.
+        if self.num_steps <= self.window { 0 } else { (place % u64::from(self.window)) as u32 }
     }
 
     /// Place of a step in the window that holds it: `0 .. L`.
@@ -52,6 +58,14 @@ mod tests {
                 assert!(starts.collect::<Vec<_>>().windows(2).all(|pair| pair[1] - pair[0] == window));
             }
         }
+    }
+
+    #[test]
+    fn a_short_series_is_one_window() {
+        let timing = Timing { window: 8, num_steps: 8 };
+        let node = NodeId::new(0, [1, 1, 1]);
+        assert_eq!((timing.phase(node), timing.phase_of(7)), (0, 0));
+        assert_eq!(Timing { window: 8, num_steps: 9 }.phase(node), 1);
     }
 
     #[test]

@@ -276,7 +276,7 @@ impl NodeCoder<'_> {
     /// Phase of a node: by layers of bricks where a whole slice is coded at once.
     fn phase(&self, timing: Timing, node: NodeId) -> u32 {
         match self.method {
-            Method::Slices => node.brick()[2] % timing.window,
+            Method::Slices => timing.phase_of(node.brick()[2].into()),
             _ => timing.phase(node),
         }
     }
