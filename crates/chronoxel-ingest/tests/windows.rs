@@ -163,6 +163,29 @@ fn a_resume_inside_windows_gives_the_same_bytes() {
     }
 }
 
+#[test]
+fn a_rate_is_met_by_the_whole_store() {
+    let folder = tempfile::tempdir().unwrap();
+    // Quiet at first, busy later, in one half of the volume.
+    let mut series =
+        MemorySeries::of([64, 64, 64], SampleType::F32, 12, |s, [x, y, z]| match x < 32 || s < 4 {
+            true => (0.05 * (x + 2 * y + s) as f64).sin(),
+            false => (0.3 * (x + s * y) as f64).sin() * (0.4 * z as f64).cos(),
+        });
+    let mut last = f64::INFINITY;
+    for bits in [0.25, 0.5, 1.5] {
+        let path = folder.path().join(format!("{bits}.cxl"));
+        let options = EncodeOptions { bits: Some(bits), brick_edge: 32, ..options(Codec::Auto) };
+        run(&mut series, &path, &options).unwrap();
+        let found = measure(&assert_sound(&path), &mut series, 0..12).unwrap();
+        let [_, _, mse] = found.variables[0].mse_range();
+        let stored = found.variables[0].bits_per_sample;
+        assert!(stored <= bits && stored > 0.6 * bits, "{stored} bits per sample for {bits}");
+        assert!(mse < last / 4.0, "{mse:e} at {bits} bits after {last:e}");
+        last = mse;
+    }
+}
+
 /// Infinities and NaN, denormals, huge samples, constants and bricks of two values, in time as well as in space.
 #[test]
 fn nothing_that_a_float_can_be_breaks_a_codec() {

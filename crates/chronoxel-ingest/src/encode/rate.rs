@@ -18,6 +18,9 @@ use super::windowed::NodeCoder;
 
 /// Nodes that share a budget. Fixed, since what comes out depends on it.
 pub const GROUP: usize = 16;
+/// What a store takes beside its spans: the header, and the metadata of the arrays of a level.
+const HEADER_BYTES: f64 = 4096.0;
+const LEVEL_BYTES: f64 = 8192.0;
 const MAX_STAGES: usize = 3;
 const NUM_ENTRIES: usize = 256;
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
@@ -50,8 +53,10 @@ impl Spending {
     pub fn new(bits: f64, levels: &[LevelGeometry], num_steps: u32) -> Self {
         let of_level = |level: &LevelGeometry| level.dims.iter().map(|&n| n as f64).product::<f64>();
         let num_steps = f64::from(num_steps);
+        let all = bits / 8.0 * of_level(&levels[0]) * num_steps;
+        let overhead = HEADER_BYTES + LEVEL_BYTES * levels.len() as f64;
         Self {
-            budget_bytes: bits / 8.0 * of_level(&levels[0]) * num_steps,
+            budget_bytes: (all - overhead).max(0.5 * all),
             num_samples: levels.iter().map(of_level).sum::<f64>() * num_steps,
             spent_bytes: 0.0,
             coded_samples: 0.0,
