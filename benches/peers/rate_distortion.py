@@ -10,10 +10,11 @@ NAME.json with all points and NAME.png, the picture of them. Needs the PyPI pack
 Bits per sample are those of every file of a store, all levels and aprons included; `bits_without_apron` leaves out
 payload * apron / (core + apron): the bytes of payloads after zstd times the apron's share before it. Peers store one level without aprons.
 
-Without --margin the steps are a series of their own. Windows of different bricks start at different steps, so that a series no longer than a
-window pays for two short ones in most bricks; longer windows are left out. With --margin M, M more steps before and after are encoded: the errors are those of the steps
-in between, and the bits are what the store of all of it takes more than one that is shorter by as many steps. That is a long series in
-its middle; windows longer than M are left out.
+Without --margin the steps are a series of their own. Windows of different bricks start at different steps, so that a series pays for one
+more payload in most bricks than it has windows, but for one no longer than a window, which is one window; longer windows are left out. With --margin M, M
+more steps before and after are encoded: the errors are those of the steps in between, and the bits are what the store of all of it takes more than one
+that is shorter by as many steps. That is a long series in its
+middle; windows longer than M are left out.
 """
 
 import argparse

@@ -28,7 +28,9 @@ use crate::{
   chronoxel encode 'run/density_*.vti' -o run.cxl
   chronoxel encode series.pvd -o run.cxl --variable pressure --max-error 0.001
   chronoxel encode 'scan_*.raw' --dims 512x512x300 --dtype u16 --spacing 0.5,0.5,1 -o scan.cxl
-  chronoxel encode 'sim:vortex?dims=128&steps=32' -o vortex.cxl
+  chronoxel encode 'sim:vortex?dims=128&steps=32' -o vortex.cxl --bits 1      one bit per sample and step
+  chronoxel encode 'sim:shockbubble?steps=64' -o shock.cxl --codec vq --window 8
+  chronoxel encode 'run/frames_*.vti' -o run.cxl --max-error 0      without loss: integers of up to 16 bits
   chronoxel encode 'run/density_*.vti' -o run.cxl --resume      go on after an interruption")]
 pub struct EncodeArgs {
     #[command(flatten)]
