@@ -46,7 +46,7 @@ use output::Output;
 use rate::Spending;
 use step::Stepper;
 use stream::StreamPlan;
-use variable::{Coding, Places, StepTask, VariableEncoder};
+use variable::{Coding, How, Places, StepTask, VariableEncoder};
 
 /// Encodes a series into the store `output`.
 ///
@@ -95,6 +95,8 @@ impl Job {
         let levels = levels_of(&grid, &layout);
         let variables = options.choose_variables(series.variables(), series.times().num_steps())?;
         let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
+        let most =
+            |of: &dyn Fn(&How) -> u64| variables.iter().map(|(_, coding)| of(&coding.how)).max().unwrap_or(0);
         let task = budget::Task {
             levels: &levels,
             layout: &layout,
@@ -102,8 +104,10 @@ impl Job {
             num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
             num_threads: rayon::current_num_threads(),
             source_bytes: series.working_bytes(),
-            window: variables.iter().map(|(_, coding)| coding.how.window()).max().unwrap_or(1),
-            copies: variables.iter().map(|(_, coding)| coding.how.copies()).max().unwrap_or(0),
+            window: most(&|how| u64::from(how.window())) as u32,
+            copies: most(&How::copies),
+            held_nodes: most(&|how| how.held_nodes(&levels[0])),
+            held_payload_bytes: most(&How::held_payload_bytes),
             num_variables: variables.len() as u64,
         };
         let portions = budget::portions(&task, options.memory_bytes)?;

@@ -54,6 +54,10 @@ pub struct Task<'a> {
     pub window: u32,
     /// Copies of a window's samples that coding one node holds, payloads included; 0 where each step is coded as it comes.
     pub copies: u64,
+    /// Nodes whose windows are held at once, with what they may be coded as, besides those that threads work on.
+    pub held_nodes: u64,
+    /// Bytes of that for each of their samples and steps, besides the sample.
+    pub held_payload_bytes: u64,
     /// Variables that wait at the same time.
     pub num_variables: u64,
 }
@@ -135,7 +139,8 @@ impl Task<'_> {
         }
         let samples = (self.layout.num_full() as u64).saturating_mul(self.window.into());
         let threads = (self.num_threads as u64).saturating_mul(self.copies * self.held_bytes());
-        let coded = samples.saturating_mul(threads.saturating_add(4 * batch as u64));
+        let held = self.held_nodes.saturating_mul(self.held_bytes() + self.held_payload_bytes);
+        let coded = samples.saturating_mul(threads.saturating_add(held).saturating_add(4 * batch as u64));
         let waiting = self.num_nodes().saturating_mul(u64::from(self.window) * WAITING_BYTES);
         // Bricks of a batch are handed on, not cut in place.
         coded.saturating_add(waiting.saturating_mul(self.num_variables))
@@ -184,6 +189,8 @@ mod tests {
             source_bytes: 0,
             window: 1,
             copies: 0,
+            held_nodes: 0,
+            held_payload_bytes: 0,
             num_variables: 1,
         };
         let at = |bytes| portions(&task, bytes);

@@ -17,7 +17,7 @@ use super::real::Real;
 use super::windowed::NodeCoder;
 
 /// Nodes that share a budget. Fixed, since what comes out depends on it.
-pub const GROUP: usize = 16;
+pub const GROUP: usize = 8;
 /// What a store takes beside its spans: the header, and the metadata of the arrays of a level.
 const HEADER_BYTES: f64 = 4096.0;
 const LEVEL_BYTES: f64 = 8192.0;

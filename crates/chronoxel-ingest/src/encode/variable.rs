@@ -8,7 +8,7 @@ use chronoxel_store::{SpanContent, SpanWrite, StoreWriter};
 
 use super::coding::{Choice, CodedBrick, code};
 use super::mark::Marks;
-use super::rate::Spending;
+use super::rate::{self, Spending};
 use super::real::Real;
 use super::step::{CutBrick, Stepper};
 use super::timing::Timing;
@@ -46,6 +46,26 @@ pub enum How {
 }
 
 impl How {
+    /// Nodes that are coded together.
+    pub fn held_nodes(&self, finest: &LevelGeometry) -> u64 {
+        match self {
+            Self::Windows { method: Method::Slices, .. } => {
+                (finest.bricks[0] as u64).saturating_mul(finest.bricks[1] as u64)
+            }
+            Self::Windows { method: Method::Rate { .. }, .. } => rate::GROUP as u64,
+            _ => 0,
+        }
+    }
+
+    /// Bytes of what such a node may be coded as, for each sample and step.
+    pub fn held_payload_bytes(&self) -> u64 {
+        match self {
+            // Indices of a few slopes; the more bits, the more stages or the shorter windows.
+            Self::Windows { method: Method::Rate { bits }, .. } => 4 + bits.clamp(1.0, 16.0) as u64,
+            _ => 4,
+        }
+    }
+
     /// Level of zstd: payloads of whole windows are few against what is read, and may take longer to compress.
     pub fn zstd_level(&self) -> i32 {
         match self {
@@ -75,11 +95,11 @@ impl How {
     pub fn copies(&self) -> u64 {
         match self {
             Self::Steps { .. } => 0,
-            Self::Windows { method: Method::Slices | Method::Rate { .. }, .. } => 6,
+            Self::Windows { method: Method::Slices | Method::Rate { .. }, .. } => 5,
             // The samples, in units of their range, a residual, indices and tables.
             Self::Windows { method: Method::Palettes { .. }, .. } => 5,
             // The samples, the smallest and largest of them, points, payloads of all candidates.
-            Self::Windows { method: Method::Bound { .. }, .. } => 8,
+            Self::Windows { method: Method::Bound { .. }, .. } => 5,
         }
     }
 
