@@ -38,8 +38,10 @@ impl Lattice {
         if !(high - low).is_finite() {
             return None;
         }
-        let reach = bound.min(10_000.0) as u16;
-        if whole_numbers && high - low <= f64::from(u16::MAX - 2 * reach) {
+        // Beyond this reach whole points bring nothing, and moving the lattice takes the square of its width.
+        const MOST_WHOLE: f64 = 50.0;
+        let reach = bound.min(MOST_WHOLE) as u16;
+        if whole_numbers && bound <= MOST_WHOLE && high - low <= f64::from(u16::MAX - 2 * reach) {
             return Some(Self { offset: low, scale: 1.0, reach });
         }
         // Points between whole numbers would not be exact.

@@ -36,7 +36,9 @@ const MOST_ROUNDS: usize = 12;
 ///
 /// * `num_bricks`: bricks of the group; the result depends on no others
 /// * `range`: width of the variable's range, > 0
-/// * `start`: a slope that suits bricks like these, where one is known: no few are tried first then
+/// * `start`: the slope of bricks that went before, where there are any: no few are tried first then, and the budget stretches
+///   towards that slope, half of the way in logarithms, so that errors are alike from group to group
+/// * `most_bytes`: how far it may stretch
 /// * `evaluate`: for each of the bricks named the [`rate_points`] at the slopes named
 ///
 /// Returns the slope near the budget too, to start from with bricks like these.
@@ -48,6 +50,7 @@ pub fn choose_points<E>(
     range: f64,
     budget_bytes: u64,
     start: Option<f64>,
+    most_bytes: u64,
     mut evaluate: impl FnMut(&[usize], &[f64]) -> Result<Vec<Vec<RatePoint>>, E>,
 ) -> Result<(Vec<RatePoint>, f64), E> {
     let all: Vec<usize> = (0..num_bricks).collect();
@@ -72,9 +75,28 @@ pub fn choose_points<E>(
         let Some(slope) = next_slope(&tried, budget_bytes, range) else { break };
         slopes = vec![slope];
     }
-    let chosen = allocate(&points, budget_bytes);
+    let mut slope = slope_at(&tried, budget_bytes);
+    let mut bytes = budget_bytes;
+    if let Some(start) = start {
+        slope = (start * slope).sqrt();
+        bytes = bytes_at(&tried, slope).clamp(budget_bytes / 3, most_bytes.max(budget_bytes));
+    }
+    let chosen = allocate(&points, bytes);
     let chosen = chosen.into_iter().zip(points).map(|(at, mut points)| points.swap_remove(at));
-    Ok((chosen.collect(), slope_at(&tried, budget_bytes)))
+    Ok((chosen.collect(), slope))
+}
+
+/// The bytes that bricks take at a slope, as near as those tried tell.
+///
+/// * `tried`: slopes, increasing, and the bytes that all bricks take there, at least one
+fn bytes_at(tried: &[(f64, u64)], slope: f64) -> u64 {
+    let at = tried.partition_point(|&(tried, _)| tried < slope);
+    if at == 0 || at == tried.len() {
+        return tried[at.min(tried.len() - 1)].1;
+    }
+    let [(low, more), (high, less)] = [tried[at - 1], tried[at]];
+    let part = libm::log(slope / low) / libm::log(high / low);
+    (more as f64 + part * (less as f64 - more as f64)) as u64
 }
 
 /// The slope at which bricks take the budget, as near as those tried tell.

@@ -203,7 +203,9 @@ fn nothing_that_a_float_can_be_breaks_a_codec() {
     for (what, field) in fields {
         for sample_type in [SampleType::F32, SampleType::F64] {
             let mut series = MemorySeries::of([20, 9, 10], sample_type, 6, field);
-            for (name, options) in codecs() {
+            // Rate control tries much: once is enough.
+            let tried = |name: &str| name != "rate" || sample_type == SampleType::F32;
+            for (name, options) in codecs().into_iter().filter(|(name, _)| tried(name)) {
                 let path = folder.path().join("s.cxl");
                 let options = EncodeOptions { overwrite: true, brick_edge: 8, ..options };
                 run(&mut series, &path, &options).unwrap_or_else(|e| panic!("{what}, {name}: {e}"));

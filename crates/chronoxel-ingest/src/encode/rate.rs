@@ -21,7 +21,7 @@ use super::windowed::{CHOOSING_LEVEL, NodeCoder};
 pub const GROUP: usize = 8;
 /// What a store takes beside its spans: the header, and the metadata of the arrays of a level.
 const HEADER_BYTES: f64 = 4096.0;
-const LEVEL_BYTES: f64 = 8192.0;
+const LEVEL_BYTES: f64 = 14336.0;
 const MAX_STAGES: usize = 3;
 const NUM_ENTRIES: usize = 256;
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
@@ -68,6 +68,12 @@ impl Spending {
             coded_samples: 0.0,
             slope: None,
         }
+    }
+
+    /// To what the share of a group may stretch: a part of what is left for all that follow.
+    fn stretched(&self, share: u64) -> u64 {
+        let left = (self.budget_bytes - self.spent_bytes).max(0.0) as u64;
+        (3 * share).min(share + left.saturating_sub(share) / 4)
     }
 
     /// Bytes for some samples.
@@ -151,7 +157,8 @@ fn choose<T: Real>(
             .map(|&at| coded[at].points(slopes, coder).map_err(|source| (coded[at].node, source)));
         points.collect::<Vec<_>>().into_iter().collect()
     };
-    let (chosen, slope) = choose_points(coded.len(), range, budget, spending.slope, evaluate)?;
+    let most = spending.stretched(budget);
+    let (chosen, slope) = choose_points(coded.len(), range, budget, spending.slope, most, evaluate)?;
     // None is suggested by a group without a choice.
     spending.slope = Some(slope).filter(|slope| *slope > 0.0);
     Ok(chosen)
