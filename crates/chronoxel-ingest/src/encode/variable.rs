@@ -157,7 +157,7 @@ impl<'a> VariableEncoder<'a> {
         ranges: Vec<[f64; 2]>,
         spending: Option<Spending>,
     ) -> Result<Self, EncodeError> {
-        let Places { tree, levels, layout, num_steps, folder, scratch_bytes } = *places;
+        let Places { levels, layout, num_steps, .. } = *places;
         let open = match coding.how {
             How::Steps { .. } => OpenSteps::None,
             How::Windows { window, method } => {
@@ -167,22 +167,8 @@ impl<'a> VariableEncoder<'a> {
                     _ => None,
                 };
                 match fits_f32 {
-                    true => OpenSteps::F32(OpenWindows::new(
-                        timing,
-                        tree,
-                        layout,
-                        folder,
-                        scratch_bytes,
-                        spending,
-                    )?),
-                    false => OpenSteps::F64(OpenWindows::new(
-                        timing,
-                        tree,
-                        layout,
-                        folder,
-                        scratch_bytes,
-                        spending,
-                    )?),
+                    true => OpenSteps::F32(OpenWindows::new(timing, places, spending)?),
+                    false => OpenSteps::F64(OpenWindows::new(timing, places, spending)?),
                 }
             }
         };

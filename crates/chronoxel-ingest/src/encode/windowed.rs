@@ -2,7 +2,6 @@
 //! the node is coded.
 
 use std::ops::Range;
-use std::path::Path;
 
 use chronoxel_codec::{PayloadClass, stage_to_bytes};
 use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree};
@@ -20,6 +19,7 @@ use super::scratch::{Scratch, Waiting};
 use super::slices;
 use super::step::{CutBrick, TakeBatch};
 use super::timing::Timing;
+use super::variable::Places;
 use crate::EncodeError;
 
 /// Level of zstd at which candidates within a bound are weighed: what is stored at a higher level ranks them alike, but for less time.
@@ -130,22 +130,16 @@ impl<T: Real> Arrival<T> {
 }
 
 impl<T: Real> OpenWindows<T> {
-    /// Of a variable of which nothing is read yet.
+    /// Of a variable of which nothing waits yet.
     ///
-    /// * `folder`: where the scratch file may lie
-    /// * `memory_bytes`: what may wait in memory
-    pub fn new(
-        timing: Timing,
-        tree: &Octree,
-        layout: &BrickLayout,
-        folder: &Path,
-        memory_bytes: u64,
-        spending: Option<Spending>,
-    ) -> Result<Self, EncodeError> {
+    /// * `spending`: what was spent so far, where there is a rate to meet
+    pub fn new(timing: Timing, places: &Places<'_>, spending: Option<Spending>) -> Result<Self, EncodeError> {
+        let Places { tree, layout, folder, scratch_bytes, .. } = *places;
         let brick_bytes = (layout.num_full() * size_of::<T>()) as u64;
-        let scratch = Scratch::new(folder, brick_bytes, memory_bytes)?;
+        let scratch = Scratch::new(folder, brick_bytes, scratch_bytes)?;
         let of_level = |level: u8| tree.nodes(level).iter().map(|_| Open { steps: Vec::new() }).collect();
-        Ok(Self { timing, scratch, nodes: (0..tree.num_levels() as u8).map(of_level).collect(), spending })
+        let nodes = (0..tree.num_levels() as u8).map(of_level).collect();
+        Ok(Self { timing, scratch, nodes, spending })
     }
 
     /// What was spent, where there is a rate to meet.
