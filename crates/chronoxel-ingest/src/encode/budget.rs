@@ -142,7 +142,6 @@ impl Task<'_> {
         let held = self.held_nodes.saturating_mul(self.held_bytes() + self.held_payload_bytes);
         let coded = samples.saturating_mul(threads.saturating_add(held).saturating_add(4 * batch as u64));
         let waiting = self.num_nodes().saturating_mul(u64::from(self.window) * WAITING_BYTES);
-        // Bricks of a batch are handed on, not cut in place.
         coded.saturating_add(waiting.saturating_mul(self.num_variables))
     }
 

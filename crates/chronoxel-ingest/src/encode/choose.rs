@@ -15,11 +15,11 @@ use chronoxel_core::{BitMask, BrickLayout};
 
 use super::analyse::range_of;
 use super::coding::{Choice, Refusal};
-use super::node::Piece;
+use super::node::{NodeSteps, Piece, Section};
 use super::real::Real;
 
 /// What a span costs beside its payload: its record, and its share of the index of a shard.
-const RECORD_BYTES: usize = 40;
+pub const RECORD_BYTES: usize = 40;
 
 /// Of so many samples one is looked at where a share of them will do; prime to the edges of bricks.
 const SAMPLED: usize = 13;
@@ -40,7 +40,18 @@ pub struct NodeWindow<'a, T> {
     pub whole_numbers: bool,
 }
 
-impl<T> NodeWindow<'_, T> {
+impl<'a, T: Real> NodeWindow<'a, T> {
+    /// A section of a node's window of which every step has data.
+    pub fn of_section(node: &'a NodeSteps<T>, section: &Section<T>) -> Self {
+        Self {
+            steps: node.samples_of(section.steps.clone()),
+            masks: node.masks[section.steps.clone()].iter().map(Option::as_ref).collect(),
+            lead: node.lead.saturating_sub(section.place) as usize,
+            window: section.width,
+            whole_numbers: node.whole_numbers,
+        }
+    }
+
     /// One of its steps by itself.
     pub fn step(&self, at: usize) -> Self {
         let Self { whole_numbers, .. } = *self;

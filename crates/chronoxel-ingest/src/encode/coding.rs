@@ -1,7 +1,10 @@
 //! The choice of a payload for one brick: empty, constant, or coded with 8 or 16 bits.
 
-use chronoxel_codec::{CodecError, Payload, decoded_range, quantize_affine};
+use chronoxel_codec::{
+    CodecError, Payload, PayloadClass, Stage, decoded_range, quantize_affine, stage_to_bytes,
+};
 use chronoxel_core::{BitMask, BrickLayout};
+use chronoxel_store::SpanContent;
 
 use super::analyse::Analysis;
 use super::pad::pad;
@@ -17,6 +20,26 @@ pub enum Choice {
     Constant(f64),
     /// A payload.
     Coded(Payload),
+}
+
+impl Choice {
+    /// What the store's writer takes.
+    ///
+    /// * `classes`: those of the variable, the payload's among them
+    pub fn into_content(self, classes: &[PayloadClass], layout: &BrickLayout) -> SpanContent {
+        match self {
+            Self::Empty => SpanContent::Empty,
+            Self::Constant(value) => SpanContent::Constant(value),
+            Self::Coded(payload) => {
+                let class = PayloadClass { stages: payload.stages.iter().map(Stage::class).collect() };
+                let class = classes.iter().position(|known| *known == class);
+                SpanContent::Coded {
+                    class: class.expect("codecs give payloads of the classes they announce") as u8,
+                    stages: payload.stages.iter().map(|stage| stage_to_bytes(stage, layout)).collect(),
+                }
+            }
+        }
+    }
 }
 
 /// A brick as it will be stored.

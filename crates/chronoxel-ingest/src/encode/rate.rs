@@ -5,14 +5,14 @@
 
 use chronoxel_codec::rate::{CodedPiece, RateOptions, RatePoint, Run, choose_points, rate_points};
 use chronoxel_codec::{CodecError, PayloadClass, decode_f64, decoded_range, stage_to_bytes};
-use chronoxel_core::{BitMask, LevelGeometry};
+use chronoxel_core::LevelGeometry;
 use chronoxel_store::stored_len;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::choose::{self, NodeWindow, within_bound};
+use super::choose::{self, NodeWindow, RECORD_BYTES, within_bound};
 use super::coding::Choice;
-use super::node::{NodeSteps, Piece, Section};
+use super::node::{NodeSteps, Piece};
 use super::palettes;
 use super::real::Real;
 use super::windowed::{CHOOSING_LEVEL, NodeCoder};
@@ -24,8 +24,7 @@ const HEADER_BYTES: f64 = 4096.0;
 const LEVEL_BYTES: f64 = 14336.0;
 const MAX_STAGES: usize = 3;
 const NUM_ENTRIES: usize = 256;
-/// What a span costs beside its payload: its record, and its share of the index of a shard.
-const SPAN_BYTES: u64 = 40;
+const SPAN_BYTES: u64 = RECORD_BYTES as u64;
 
 /// The classes of the payloads that [`pieces`] gives.
 pub fn classes(window: u32) -> Vec<PayloadClass> {
@@ -86,14 +85,10 @@ impl Spending {
 /// A section of which the samples differ, and what its error counts over.
 struct Coded<'a, T> {
     node: usize,
-    section: Section<T>,
-    steps: Vec<&'a [T]>,
+    /// Its first step, counted from the node's.
+    start: usize,
+    window: NodeWindow<'a, T>,
     trained: Vec<u32>,
-    /// What is masked in every step.
-    mask: Option<&'a BitMask>,
-    /// Steps that the section lacks at its start.
-    lead: usize,
-    whole_numbers: bool,
 }
 
 /// The pieces of each node of a group, with the least squared error for their share of the bytes.
@@ -113,12 +108,9 @@ pub fn pieces<T: Real>(
                 Some(piece) => pieces[at].push(piece),
                 None => coded.push(Coded {
                     node: at,
-                    steps: node.samples_of(section.steps.clone()),
+                    start: section.steps.start,
+                    window: NodeWindow::of_section(node, &section),
                     trained: node.trained(section.steps.start),
-                    mask: node.masks[section.steps.start].as_ref(),
-                    lead: node.lead.saturating_sub(section.place) as usize,
-                    whole_numbers: node.whole_numbers,
-                    section,
                 }),
             }
         }
@@ -168,14 +160,14 @@ impl<T: Real> Coded<'_, T> {
     fn points(&self, slopes: &[f64], coder: &NodeCoder<'_>) -> Result<Vec<RatePoint>, CodecError> {
         let stored = |bytes: &[u8]| stored_len(bytes, coder.zstd_level);
         let options = RateOptions {
-            max_window: self.section.width,
+            max_window: self.window.window,
             max_stages: MAX_STAGES,
             num_entries: NUM_ENTRIES,
-            whole_numbers: self.whole_numbers,
+            whole_numbers: self.window.whole_numbers,
             span_bytes: SPAN_BYTES,
             stored_bytes: &stored,
         };
-        let run = Run { steps: &self.steps, trained: &self.trained, layout: coder.layout };
+        let run = Run { steps: &self.window.steps, trained: &self.trained, layout: coder.layout };
         let mut points = rate_points(&run, slopes, &options)?;
         for (point, &slope) in points.iter_mut().zip(slopes) {
             let cost = |point: &RatePoint| point.squared_error + slope * 8.0 * point.bytes as f64;
@@ -192,15 +184,10 @@ impl<T: Real> Coded<'_, T> {
     /// A uniform quantiser of step `2 E` errs by `E² / 3` on average, and one more bit for each sample saves `2 ln 2` of that.
     fn bounded_point(&self, slope: f64, coder: &NodeCoder<'_>) -> Result<Option<RatePoint>, CodecError> {
         let bound = (3.0 * slope / (2.0 * std::f64::consts::LN_2)).sqrt();
-        let window = NodeWindow {
-            steps: self.steps.clone(),
-            masks: vec![self.mask; self.steps.len()],
-            lead: self.lead,
-            window: self.section.width,
-            whole_numbers: self.whole_numbers,
-        };
         let weighed = |bytes: &[u8]| stored_len(bytes, CHOOSING_LEVEL);
-        let Ok(pieces) = within_bound(&window, bound, false, coder.layout, &weighed) else { return Ok(None) };
+        let Ok(pieces) = within_bound(&self.window, bound, false, coder.layout, &weighed) else {
+            return Ok(None);
+        };
         let mut point = RatePoint { pieces: Vec::new(), bytes: 0, squared_error: 0.0 };
         for piece in pieces {
             point.bytes += SPAN_BYTES;
@@ -215,7 +202,7 @@ impl<T: Real> Coded<'_, T> {
                 Choice::Empty => return Ok(None),
             };
             for step in 0..piece.len {
-                let samples = self.steps[piece.start + step];
+                let samples = self.window.steps[piece.start + step];
                 point.squared_error += match &coded {
                     CodedPiece::Constant(value) => self.squared_error(samples, |_| *value),
                     CodedPiece::Payload(payload) => {
@@ -243,7 +230,7 @@ impl<T: Real> Coded<'_, T> {
                 (Choice::Coded(payload), drawn_range)
             }
         };
-        let start = self.section.steps.start + piece.start;
+        let start = self.start + piece.start;
         Ok(Piece { start, len: piece.len, window: piece.window, choice, drawn_range })
     }
 }

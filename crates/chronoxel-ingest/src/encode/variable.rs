@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use chronoxel_codec::{PayloadClass, stage_to_bytes};
+use chronoxel_codec::PayloadClass;
 use chronoxel_core::{BrickLayout, LevelGeometry, Octree};
-use chronoxel_store::{SpanContent, SpanWrite, StoreWriter};
+use chronoxel_store::{SpanWrite, StoreWriter};
 
-use super::coding::{Choice, CodedBrick, code};
+use super::coding::{CodedBrick, code};
 use super::mark::Marks;
 use super::rate::{self, Spending};
 use super::real::Real;
@@ -95,11 +95,8 @@ impl How {
     pub fn copies(&self) -> u64 {
         match self {
             Self::Steps { .. } => 0,
-            Self::Windows { method: Method::Slices | Method::Rate { .. }, .. } => 5,
-            // The samples, in units of their range, a residual, indices and tables.
-            Self::Windows { method: Method::Palettes { .. }, .. } => 5,
-            // The samples, the smallest and largest of them, points, payloads of all candidates.
-            Self::Windows { method: Method::Bound { .. }, .. } => 5,
+            // The samples; in units of their range, or as points; what is left of them; indices and tables.
+            Self::Windows { .. } => 5,
         }
     }
 
@@ -144,8 +141,6 @@ pub struct StepTask<'a> {
 impl<'a> VariableEncoder<'a> {
     /// Before the first step, or as an interrupted run left it.
     ///
-    /// * `folder`: where a scratch file may lie
-    /// * `scratch_bytes`: what may wait in memory
     /// * `ranges`: range of the source up to each of the last steps before the one to read next
     /// * `spending`: what was spent up to the last commit, where there is a rate to meet
     pub fn new(
@@ -262,24 +257,15 @@ impl VariableStep<'_> {
             .map_err(|refusal| {
                 refusal.into_error(&self.coding.name, step as usize, brick.geometry.level, brick.brick, 0.0)
             })?;
-        let content = match choice {
-            Choice::Empty => SpanContent::Empty,
-            Choice::Constant(value) => SpanContent::Constant(value),
-            Choice::Coded(payload) => SpanContent::Coded {
-                class: 0,
-                stages: payload.stages.iter().map(|stage| stage_to_bytes(stage, layout)).collect(),
-            },
-        };
-        let statistics = brick.analysis.statistics;
         Ok(SpanWrite {
             node_rank: brick.rank,
             start: step,
             len: 1,
             window: 1,
-            content,
+            content: choice.into_content(self.classes, layout),
             mask,
             drawn_range,
-            statistics,
+            statistics: brick.analysis.statistics,
         })
     }
 

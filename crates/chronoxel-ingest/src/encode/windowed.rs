@@ -3,14 +3,14 @@
 
 use std::ops::Range;
 
-use chronoxel_codec::{PayloadClass, stage_to_bytes};
+use chronoxel_codec::PayloadClass;
 use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree};
-use chronoxel_store::{SpanContent, SpanWrite, stored_len};
+use chronoxel_store::{SpanWrite, stored_len};
 use rayon::prelude::*;
 
 use super::analyse::Analysis;
 use super::choose::{self, NodeWindow, within_bound};
-use super::coding::{Choice, Refusal};
+use super::coding::Refusal;
 use super::node::{NodeSteps, Piece, Section, core_inside};
 use super::palettes::{self, PaletteKind};
 use super::rate::{self, Spending};
@@ -328,13 +328,7 @@ impl NodeCoder<'_> {
         let stored = |bytes: &[u8]| stored_len(bytes, CHOOSING_LEVEL);
         let choose =
             |window: &NodeWindow<'_, T>| within_bound(window, bound, level == 0, self.layout, &stored);
-        let window = NodeWindow {
-            steps: node.samples_of(section.steps.clone()),
-            masks: node.masks[section.steps.clone()].iter().map(Option::as_ref).collect(),
-            lead: node.lead.saturating_sub(section.place) as usize,
-            window: section.width,
-            whole_numbers: node.whole_numbers,
-        };
+        let window = NodeWindow::of_section(node, section);
         let chosen = choose(&window).map_err(|refusal| {
             // It looked at the whole window: find the step that it stumbled over.
             let refused = |&at: &usize| choose(&window.step(at)).is_err();
@@ -351,25 +345,12 @@ impl NodeCoder<'_> {
     fn span<T: Real>(&self, rank: usize, first: u32, node: &NodeSteps<T>, piece: Piece) -> SpanWrite {
         let steps: Range<usize> = piece.start..piece.start + piece.len;
         let mask = node.masks[piece.start].clone();
-        let content = match piece.choice {
-            Choice::Empty => SpanContent::Empty,
-            Choice::Constant(value) => SpanContent::Constant(value),
-            Choice::Coded(payload) => {
-                let class =
-                    PayloadClass { stages: payload.stages.iter().map(|stage| stage.class()).collect() };
-                let class = self.classes.iter().position(|known| *known == class);
-                SpanContent::Coded {
-                    class: class.expect("codecs give payloads of the classes they announce") as u8,
-                    stages: payload.stages.iter().map(|stage| stage_to_bytes(stage, self.layout)).collect(),
-                }
-            }
-        };
         SpanWrite {
             node_rank: rank as u32,
             start: first + piece.start as u32,
             len: piece.len as u32,
             window: piece.window,
-            content,
+            content: piece.choice.into_content(self.classes, self.layout),
             mask,
             drawn_range: piece.drawn_range,
             statistics: node.statistics(steps),
