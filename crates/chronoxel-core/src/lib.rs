@@ -40,4 +40,4 @@ pub use span::{PayloadAddress, SpanKind, SpanRecord, SpanStatistics};
 pub use time::TimeAxis;
 pub use time_tree::{NodeFacts, NodeStatistics, TimeNode};
 pub use transfer::{ResolvedTransfer, TransferDomain, TransferFunction, TransferPoint};
-pub use visibility::view_order;
+pub use visibility::{Eye, view_order};

@@ -3,16 +3,39 @@
 use crate::{BrickLayout, Camera, Projection, UniformGrid};
 
 /// Where a picture is seen from, in voxels.
-enum Eye {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Eye {
+    /// From a point: perspective.
     Point([f64; 3]),
+    /// Along a direction: orthographic.
     Direction([f64; 3]),
+}
+
+impl Eye {
+    /// That of a camera.
+    pub fn of(camera: &Camera, grid: &UniformGrid) -> Self {
+        match camera.projection() {
+            Projection::Perspective { .. } => Self::Point(grid.voxel_from_world(camera.position())),
+            Projection::Orthographic { .. } => Self::Direction(camera.axes()[2]),
+        }
+    }
+
+    /// The octants around a point, front to back for every ray of the camera at once: of the two halves at each plane
+    /// through the point, the one on the eye's side comes first. Bit 0 of an octant is x, bit 1 y, bit 2 z.
+    pub fn octants_front_to_back(&self, middle: [f64; 3]) -> [usize; 8] {
+        let is_high = |a: usize| match self {
+            Self::Point(point) => point[a] >= middle[a],
+            Self::Direction(direction) => direction[a] < 0.0,
+        };
+        let nearest: usize = (0..3).filter(|&a| is_high(a)).map(|a| 1 << a).sum();
+        [0, 1, 2, 4, 3, 5, 6, 7].map(|flip| nearest ^ flip)
+    }
 }
 
 /// Indices of `boxes` such that no box is hidden by one that comes after it.
 ///
 /// The boxes are nodes of an octree or octants of them, in level-0 voxels, none overlapping another. The space is
-/// halved at the planes of the octree, and of two halves the one on the eye's side comes first, so that the order is
-/// right for every ray of the camera at once. It depends on the boxes alone, not on the order they are given in.
+/// halved at the planes of the octree ([`Eye::octants_front_to_back`]). The order depends on the boxes alone, not on the order they are given in.
 ///
 /// * `boxes`: lowest and highest corner, level-0 voxels
 pub fn view_order(
@@ -21,10 +44,7 @@ pub fn view_order(
     grid: &UniformGrid,
     layout: &BrickLayout,
 ) -> Vec<usize> {
-    let eye = match camera.projection() {
-        Projection::Perspective { .. } => Eye::Point(grid.voxel_from_world(camera.position())),
-        Projection::Orthographic { .. } => Eye::Direction(camera.axes()[2]),
-    };
+    let eye = Eye::of(camera, grid);
     let top = boxes.iter().flat_map(|b| b[1]).fold(1.0, f64::max);
     let mut edge = layout.edge as f64;
     while edge < top {
@@ -54,15 +74,7 @@ fn append_front_to_back(
         let octant = (0..3).filter(|&a| centre(a) >= middle[a]).map(|a| 1 << a).sum::<usize>();
         octants[octant].push(i);
     }
-    let nearest = (0..3)
-        .filter(|&a| match eye {
-            Eye::Point(point) => point[a] >= middle[a],
-            Eye::Direction(direction) => direction[a] < 0.0,
-        })
-        .map(|a| 1 << a)
-        .sum::<usize>();
-    for flip in [0, 1, 2, 4, 3, 5, 6, 7] {
-        let octant = nearest ^ flip;
+    for octant in eye.octants_front_to_back(middle) {
         let corner = std::array::from_fn(|a| if octant >> a & 1 == 1 { middle[a] } else { low[a] });
         append_front_to_back(boxes, std::mem::take(&mut octants[octant]), corner, 0.5 * edge, eye, order);
     }

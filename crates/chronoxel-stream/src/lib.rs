@@ -2,8 +2,12 @@
 //!
 //! Pure: no files, no threads, no clock.
 
+pub mod metric;
 pub mod select;
 pub mod view;
 
-pub use select::{DrawItem, How, Selector};
+pub use metric::{
+    ApproximateErrors, Estimates, NodeErrors, Place, ReferenceError, ReferenceErrors, ScalarErrors, StepStatistics,
+};
+pub use select::{Appearance, Coherence, DrawItem, How, Selector, Tolerances};
 pub use view::ViewVolume;

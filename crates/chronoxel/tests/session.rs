@@ -27,6 +27,7 @@ fn view_of(session: &Session, lighting: Option<Lighting>) -> View {
         lighting,
         opacity_unit: grid.smallest_spacing(),
         level: 0,
+        coherence: None,
     }
 }
 

@@ -10,7 +10,9 @@ use chronoxel_ingest::{Codec, EncodeOptions, encode, measure};
 use chronoxel_store::Store;
 use serde_json::{Map, Value, json};
 
-use super::{BenchReport, Column, Input, Row, Section, Stepping, Style, Workplace, machine};
+use super::{
+    BenchReport, Column, Input, Row, Section, Size, Stepping, Style, Workplace, machine, object,
+};
 use crate::process::resource_usage;
 
 /// Steps in one byte: the paper's compression ratios.
@@ -95,15 +97,6 @@ const ALL_DATA: [PaperData; 3] = [QUASI_GEOSTROPHIC, VORTEX, SHOCK_BUBBLE];
 /// Seconds that the paper's encoder takes for a step of 256³, depending on the ratio.
 const ENCODE_SECS: [f64; 2] = [5.0, 15.0];
 const ENCODE_SAMPLES: f64 = (256 * 256 * 256) as f64;
-
-/// How large the simulations are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Size {
-    /// A minute or so.
-    Small,
-    /// Near the paper's.
-    Full,
-}
 
 /// The sources to measure: the simulations, and the user's; a simulation of the same name takes the place of one of the former.
 pub fn sources(users: &[String], size: Size) -> Vec<String> {
@@ -324,13 +317,6 @@ fn bits_per_sample(store: &Store) -> anyhow::Result<(f64, f64)> {
     let apron = totals.payload_bytes as f64 * totals.apron_bytes as f64 / indices;
     let per_sample = 8.0 / (header.grid.num_samples() as f64 * f64::from(header.num_steps()));
     Ok((stored * per_sample, (stored - apron) * per_sample))
-}
-
-fn object(value: Value) -> Map<String, Value> {
-    match value {
-        Value::Object(map) => map,
-        _ => Map::new(),
-    }
 }
 
 fn paper_errors(data: &PaperData, ratio: usize) -> Map<String, Value> {

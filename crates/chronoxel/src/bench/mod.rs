@@ -3,6 +3,7 @@
 //! A bench gives a [`BenchReport`]: sections of rows, each with what the paper says and what was found here under the same
 //! keys where both have them. What a bench works with lies in a [`Workplace`], which is removed at the end.
 
+pub mod binotto2003;
 mod input;
 pub mod lum2001;
 mod stepping;
@@ -117,6 +118,22 @@ impl Section {
             std::iter::once(row.label.clone()).chain(figures).collect()
         }));
         cells
+    }
+}
+
+/// How large the simulations of a bench are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Size {
+    /// A minute or so.
+    Small,
+    /// Near the paper's.
+    Full,
+}
+
+fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
     }
 }
 

@@ -61,6 +61,7 @@ impl Stepping {
             lighting: None,
             opacity_unit: grid.smallest_spacing(),
             level: 0,
+            coherence: None,
         };
         let mut draw = |session: &mut Session, step: usize| {
             interrupt::check()?;

@@ -14,7 +14,7 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Workplace, lum2001},
+    bench::{BenchReport, Input, Size, Workplace, binotto2003, lum2001},
     progress::{Counted, Progress},
 };
 
@@ -24,9 +24,11 @@ use crate::{
   chronoxel bench lum2001
   chronoxel bench lum2001 --size full --out results
   chronoxel bench lum2001 --source 'run/density_*.vti' --source 'sim:vortex?dims=96' --json
+  chronoxel bench binotto2003 --out results
 
 Benches:
-  lum2001    temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step")]
+  lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
+  binotto2003  index and refinement textures: sparseness, cells and compression ratio at three levels, beside what a store takes")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -49,6 +51,8 @@ pub struct BenchArgs {
 enum BenchName {
     /// Texture hardware assisted rendering of time-varying volume data (Lum, Ma, Clyne, 2001)
     Lum2001,
+    /// Real-time volume rendering of time-varying data using a fragment-shader compression approach (Binotto, Comba, Freitas, 2003)
+    Binotto2003,
 }
 
 /// Sizes of the simulations.
@@ -61,11 +65,12 @@ enum BenchSize {
 /// Runs the verb.
 pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let size = match args.size {
-        BenchSize::Small => lum2001::Size::Small,
-        BenchSize::Full => lum2001::Size::Full,
+        BenchSize::Small => Size::Small,
+        BenchSize::Full => Size::Full,
     };
     let names = match args.name {
         BenchName::Lum2001 => lum2001::sources(&args.source, size),
+        BenchName::Binotto2003 => binotto2003::sources(&args.source),
     };
     let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
@@ -84,6 +89,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     };
     let report = match args.name {
         BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
+        BenchName::Binotto2003 => binotto2003::run(inputs, &place, common.memory.0, &mut progress)?,
     };
     if let Some(bar) = bar {
         bar.finish();

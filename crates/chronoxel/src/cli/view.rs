@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use chronoxel_core::{Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid};
+use chronoxel_core::{
+    Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid, metrics::ColorSpace,
+};
+use chronoxel_stream::Tolerances;
 use clap::{Args, ValueEnum};
 
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive, parse_step};
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
-    session::{Moment, Picture, Session, View, orbit_camera},
+    session::{CoherenceView, Metric, Moment, Picture, Session, View, orbit_camera},
 };
 
 /// Options of `render`, `movie` and `play`.
@@ -40,6 +43,8 @@ pub struct ViewArgs {
     /// Finest octree level to draw; 0 is full resolution
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub level: u8,
+    #[command(flatten)]
+    pub coherence: CoherenceArgs,
     /// Background: a name, #RRGGBB, or transparent
     #[arg(long, value_name = "COLOR", default_value = "black", value_parser = parse_background)]
     pub background: Background,
@@ -89,6 +94,35 @@ pub struct TransferArgs {
     /// Path length, in world units, that opacities refer to [default: the smallest spacing]
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
     pub opacity_unit: Option<f64>,
+}
+
+/// What is drawn simpler than it is because it is alike in space or time.
+#[derive(Debug, Clone, Args)]
+pub struct CoherenceArgs {
+    /// What coherence is measured by: variation of the values, or of their colours [default: color-approximate]
+    #[arg(long, value_name = "METRIC")]
+    pub metric: Option<MetricName>,
+    /// Draw nodes of the octree whose coefficient of variation in space is at most this in their mean colour
+    #[arg(long, value_name = "E", default_value_t = 0.0, allow_hyphen_values = true, value_parser = parse_not_negative)]
+    pub spatial_tolerance: f64,
+    /// Draw bricks whose coefficient of variation over some steps is at most this as they are at the first of them
+    #[arg(long, value_name = "E", default_value_t = 0.0, allow_hyphen_values = true, value_parser = parse_not_negative)]
+    pub temporal_tolerance: f64,
+}
+
+/// Metrics of coherence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MetricName {
+    /// Variation of values.
+    Scalar,
+    /// Variation of colours, voxel by voxel: reads every step first; for measuring.
+    ColorReference,
+    /// Variation of colours, estimated at once from the statistics of the values.
+    ColorApproximate,
+    /// As color-reference, with distances in L*u*v*.
+    ColorReferenceLuv,
+    /// As color-approximate, with distances in L*u*v*.
+    ColorApproximateLuv,
 }
 
 /// Which time step a picture shows.
@@ -187,6 +221,7 @@ impl ViewArgs {
             lighting: (self.lighting == Switch::On).then(Lighting::default),
             opacity_unit: self.transfer.opacity_unit.unwrap_or(grid.smallest_spacing()),
             level: self.level,
+            coherence: self.coherence.view(),
         })
     }
 
@@ -288,6 +323,22 @@ impl TransferArgs {
         );
         let text = read_text(path, "transfer function")?;
         TransferFunction::from_json(&text).with_context(|| path.display().to_string())
+    }
+}
+
+impl CoherenceArgs {
+    /// What of the coherence is used; nothing where nothing of it was asked for.
+    fn view(&self) -> Option<CoherenceView> {
+        let tolerances = Tolerances { spatial: self.spatial_tolerance, temporal: self.temporal_tolerance };
+        let is_asked_for = self.metric.is_some() || tolerances != Tolerances::default();
+        let metric = match self.metric.unwrap_or(MetricName::ColorApproximate) {
+            MetricName::Scalar => Metric::Scalar,
+            MetricName::ColorReference => Metric::ColorReference(ColorSpace::Rgb),
+            MetricName::ColorApproximate => Metric::ColorApproximate(ColorSpace::Rgb),
+            MetricName::ColorReferenceLuv => Metric::ColorReference(ColorSpace::Luv),
+            MetricName::ColorApproximateLuv => Metric::ColorApproximate(ColorSpace::Luv),
+        };
+        is_asked_for.then_some(CoherenceView { metric, tolerances, skips_transparent: true })
     }
 }
 

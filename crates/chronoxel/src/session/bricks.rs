@@ -1,0 +1,306 @@
+//! From a draw list to bricks that can be drawn: what is resident, what is read, decoded and kept.
+
+use std::{collections::HashMap, sync::Arc};
+
+use anyhow::bail;
+use chronoxel_codec::{Indices, Payload, Stage, Table, decode_resident};
+use chronoxel_core::{BitMask, BrickLayout, NodeId, Octree, PayloadAddress, ResidentBrick, SpanKind, SpanRecord};
+use chronoxel_render::{DrawBrick, DrawHow, PreparedBrick};
+use chronoxel_store::{Store, StoreError};
+use chronoxel_stream::{DrawItem, How};
+use rayon::prelude::*;
+
+use super::{BrickCounts, Faults, Session};
+use crate::blend::brick_between;
+
+/// What makes two resident bricks the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct BrickKey {
+    level: u8,
+    window: u32,
+    content: Content,
+    /// Where the mask lies; masks are stored with the window of their span.
+    mask: Option<PayloadAddress>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Content {
+    Coded {
+        class: u8,
+        at: PayloadAddress,
+        step_in_span: u32,
+    },
+    /// A masked brick of one value, by its bits.
+    Constant(u64),
+}
+
+impl BrickKey {
+    fn new(level: u8, record: &SpanRecord, step: u32) -> Option<Self> {
+        let content = match record.kind {
+            SpanKind::Empty => return None,
+            SpanKind::Constant(value) => Content::Constant(value.to_bits()),
+            SpanKind::Coded { class, at } => Content::Coded { class, at, step_in_span: step - record.start },
+        };
+        Some(Self { level, window: record.window, content, mask: record.mask })
+    }
+}
+
+/// What makes two payloads the same; those of a single step are not kept, as their bricks are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct PayloadKey {
+    level: u8,
+    window: u32,
+    class: u8,
+    at: PayloadAddress,
+}
+
+impl PayloadKey {
+    fn new(level: u8, record: &SpanRecord) -> Option<Self> {
+        match record.kind {
+            SpanKind::Coded { class, at } if record.window > 1 => {
+                Some(Self { level, window: record.window, class, at })
+            }
+            _ => None,
+        }
+    }
+}
+
+
+impl Session {
+    /// Turns items selected between two steps into bricks to draw.
+    pub(super) fn fetch_between(
+        &mut self,
+        items: &[DrawItem],
+        step: u32,
+        weight: f64,
+        counts: &mut BrickCounts,
+    ) -> anyhow::Result<Vec<DrawBrick>> {
+        let tree = Arc::clone(&self.tree);
+        let records: Vec<[SpanRecord; 2]> =
+            items.iter().map(|item| self.records_around(&tree, item.node, step)).collect::<Result<_, _>>()?;
+        for item in items {
+            match item.how {
+                How::Skip => counts.skipped += 1,
+                How::Constant(_) | How::ConstantColor(_) => counts.constant += 1,
+                How::Payload => counts.new += 1,
+            }
+        }
+        let (store, variable) = (&self.store, self.variable);
+        let draw = |(item, records): (&DrawItem, [SpanRecord; 2])| {
+            let how = match item.how {
+                How::Skip => DrawHow::Skip,
+                How::Constant(value) => DrawHow::Constant(value),
+                How::ConstantColor(color) => in_color(color),
+                How::Payload => {
+                    let brick = brick_between(store, variable, item.node, records, step, weight)?;
+                    DrawHow::Samples(Arc::new(PreparedBrick::new(brick, &store.header().bricks)?))
+                }
+            };
+            Ok(DrawBrick { node: item.node, region: item.region, how })
+        };
+        items.par_iter().zip(records).map(draw).collect()
+    }
+
+    /// How many of the next items fit a portion of the memory budget; at least one.
+    pub(super) fn portion_len(&self, items: &[DrawItem]) -> usize {
+        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks);
+        let mut left = self.portion_bytes;
+        let fits = items.iter().take_while(|item| {
+            let need = if item.how == How::Payload { brick_bytes } else { 0 };
+            let fits = need <= left;
+            left = left.saturating_sub(need);
+            fits
+        });
+        fits.count().max(1)
+    }
+
+    /// Turns selected items into bricks to draw; what is not resident is read and decoded in parallel.
+    pub(super) fn fetch(
+        &mut self,
+        items: &[DrawItem],
+        counts: &mut BrickCounts,
+        faults: &mut Faults,
+    ) -> anyhow::Result<Vec<DrawBrick>> {
+        let tree = Arc::clone(&self.tree);
+        let mut ready: HashMap<NodeId, Arc<PreparedBrick>> = HashMap::new();
+        let mut wanted: Vec<Wanted> = Vec::new();
+        for item in items.iter().filter(|item| item.how == How::Payload) {
+            let step = item.steps.start;
+            let record = self.record(&tree, item.node, step)?;
+            let Some(key) = BrickKey::new(item.node.level, &record, step) else { continue };
+            match self.bricks.get(&key) {
+                Some(brick) => {
+                    counts.reused += 1;
+                    ready.insert(item.node, brick);
+                }
+                None => wanted.push(Wanted { node: item.node, step, record, key }),
+            }
+        }
+        for (wanted, loaded) in self.load(&wanted) {
+            counts.new += 1;
+            let brick = match loaded {
+                Ok(brick) => brick,
+                Err(error) => {
+                    faults.warn(format!("{error}; its parent is drawn instead"));
+                    continue;
+                }
+            };
+            self.bricks.insert(wanted.key, Arc::clone(&brick), brick.num_bytes());
+            ready.insert(wanted.node, brick);
+        }
+        items
+            .iter()
+            .map(|item| {
+                let (node, how) = match item.how {
+                    How::Skip => (item.node, DrawHow::Skip),
+                    How::Constant(value) => (item.node, DrawHow::Constant(value)),
+                    How::ConstantColor(color) => (item.node, in_color(color)),
+                    How::Payload => match ready.get(&item.node) {
+                        Some(brick) => (item.node, DrawHow::Samples(Arc::clone(brick))),
+                        None => self.stand_in(&tree, item.node, item.steps.start, faults)?,
+                    },
+                };
+                match how {
+                    DrawHow::Skip => counts.skipped += 1,
+                    DrawHow::Constant(_) | DrawHow::ConstantColor(..) => counts.constant += 1,
+                    _ => {}
+                }
+                Ok(DrawBrick { node, region: item.region, how })
+            })
+            .collect()
+    }
+
+    /// Reads and decodes bricks: payloads of a level in as few reads as possible, decoding in parallel.
+    fn load<'a>(&mut self, wanted: &'a [Wanted]) -> Vec<(&'a Wanted, Loaded)> {
+        let mut loaded = Vec::with_capacity(wanted.len());
+        for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
+            let payloads = self.payloads(of_level);
+            let (store, variable) = (&self.store, self.variable);
+            let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
+                let prepare = |p: Option<Arc<Payload>>| prepare(store, variable, w, p.as_deref());
+                (w, payload.map_err(Into::into).and_then(prepare))
+            });
+            loaded.par_extend(prepared);
+        }
+        loaded
+    }
+
+    /// The payloads of bricks of one level: those that another step needed are still there, the others are read.
+    fn payloads(&mut self, of_level: &[Wanted]) -> Vec<Result<Option<Arc<Payload>>, StoreError>> {
+        let level = of_level[0].node.level;
+        let keys: Vec<Option<PayloadKey>> =
+            of_level.iter().map(|wanted| PayloadKey::new(level, &wanted.record)).collect();
+        let held: Vec<Option<Arc<Payload>>> =
+            keys.iter().map(|key| key.and_then(|key| self.payloads.get(&key))).collect();
+        let missing: Vec<SpanRecord> =
+            of_level.iter().zip(&held).filter(|(_, held)| held.is_none()).map(|(w, _)| w.record).collect();
+        let mut read = self.store.read_payloads(self.variable, level, &missing).into_iter();
+        let mut payloads = Vec::with_capacity(of_level.len());
+        for (key, held) in keys.into_iter().zip(held) {
+            let payload = match held {
+                Some(payload) => Ok(Some(payload)),
+                None => read.next().expect("one for each that is missing").map(|p| p.map(Arc::new)),
+            };
+            if let (Some(key), Ok(Some(payload))) = (key, &payload) {
+                self.payloads.insert(key, Arc::clone(payload), payload_bytes(payload));
+            }
+            payloads.push(payload);
+        }
+        payloads
+    }
+
+    /// The nearest ancestor of a damaged node that can be drawn in its place.
+    fn stand_in(
+        &mut self,
+        tree: &Octree,
+        damaged: NodeId,
+        step: u32,
+        faults: &mut Faults,
+    ) -> anyhow::Result<(NodeId, DrawHow)> {
+        let mut node = damaged;
+        while node != tree.root() {
+            node = node.parent();
+            let Ok(record) = self.record(tree, node, step) else { continue };
+            let how = match record.kind {
+                SpanKind::Empty => return Ok((node, DrawHow::Skip)),
+                SpanKind::Constant(value) if record.mask.is_none() => DrawHow::Constant(value),
+                _ => {
+                    let Some(key) = BrickKey::new(node.level, &record, step) else { continue };
+                    let wanted = Wanted { node, step, record, key };
+                    let loaded = match self.bricks.get(&key) {
+                        Some(brick) => Ok(brick),
+                        None => load_brick(&self.store, self.variable, &wanted),
+                    };
+                    match loaded {
+                        Ok(brick) => {
+                            self.bricks.insert(key, Arc::clone(&brick), brick.num_bytes());
+                            DrawHow::Samples(brick)
+                        }
+                        Err(error) => {
+                            faults.warn(format!("{error}; its parent is drawn instead"));
+                            continue;
+                        }
+                    }
+                }
+            };
+            return Ok((node, how));
+        }
+        let brick = damaged.brick();
+        bail!("brick {brick:?} of level {} is damaged, and so is every node above it", damaged.level)
+    }
+}
+
+
+type Loaded = anyhow::Result<Arc<PreparedBrick>>;
+
+struct Wanted {
+    node: NodeId,
+    step: u32,
+    record: SpanRecord,
+    key: BrickKey,
+}
+
+fn load_brick(store: &Store, variable: usize, wanted: &Wanted) -> Loaded {
+    let payload = match wanted.record.kind {
+        SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
+        _ => None,
+    };
+    prepare(store, variable, wanted, payload.as_ref())
+}
+
+/// Bytes that a payload takes in memory, but for what is small.
+fn payload_bytes(payload: &Payload) -> usize {
+    let stage_bytes = |stage: &Stage| {
+        let indices = match &stage.indices {
+            Indices::U8(indices) => indices.len(),
+            Indices::U16(indices) => 2 * indices.len(),
+        };
+        let entries = match &stage.table {
+            Table::Affine { .. } => 0,
+            Table::Listed { entries, .. } => 2 * entries.len(),
+        };
+        size_of::<Stage>() + indices + entries
+    };
+    size_of::<Payload>() + payload.stages.iter().map(stage_bytes).sum::<usize>()
+}
+
+/// Makes a brick ready to be drawn, from its payload or its constant value.
+fn prepare(store: &Store, variable: usize, wanted: &Wanted, payload: Option<&Payload>) -> Loaded {
+    let Wanted { node, step, record, .. } = wanted;
+    let layout = &store.header().bricks;
+    let mask = store.read_mask(variable, node.level, record)?;
+    let resident = match (payload, record.kind) {
+        (Some(payload), _) => decode_resident(payload, layout, *step - record.start, mask)?,
+        (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
+        (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
+    };
+    Ok(Arc::new(PreparedBrick::new(resident, layout)?))
+}
+
+fn constant_brick(value: f64, mask: Option<BitMask>, layout: &BrickLayout) -> ResidentBrick {
+    ResidentBrick { samples: vec![0; layout.num_full()], offset: value, scale: 0.0, mask }
+}
+
+fn in_color([r, g, b, opacity]: [f32; 4]) -> DrawHow {
+    DrawHow::ConstantColor([r, g, b], opacity)
+}

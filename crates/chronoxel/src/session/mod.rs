@@ -1,0 +1,325 @@
+//! A store opened for drawing: from a view and a step to a picture.
+//!
+//! For each picture: select the nodes to draw, fetch what is not resident, draw front to back. Bricks stay resident
+//! over a budget of bytes; where the bricks of one picture exceed it, they are drawn in portions, so
+//! that a volume of any size can be drawn at full resolution.
+
+mod bricks;
+mod reference;
+mod select;
+
+use std::{path::Path, sync::Arc, time::Instant};
+
+use anyhow::{Context, bail};
+use chronoxel_codec::Payload;
+use chronoxel_core::{
+    ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord, TimeNode,
+    TransferFunction, UniformGrid,
+};
+use chronoxel_render::{CpuOptions, Frame, PreparedBrick, RenderStats, Scene};
+use chronoxel_store::Store;
+use chronoxel_stream::Tolerances;
+
+use bricks::{BrickKey, PayloadKey};
+pub use select::{CoherenceView, Metric};
+use select::Colors;
+
+/// What a picture shows, but for the step.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// From where.
+    pub camera: Camera,
+    /// Colours and opacities, x in data units.
+    pub transfer: ResolvedTransfer,
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+    /// Distance between samples along a ray, in voxels of the smallest spacing.
+    pub step_voxels: f64,
+    /// Lighting, or none.
+    pub lighting: Option<Lighting>,
+    /// Path length that opacities refer to, world units.
+    pub opacity_unit: f64,
+    /// Finest level to draw.
+    pub level: u8,
+    /// Coherence in space and time to make use of; without it each step is drawn by itself.
+    pub coherence: Option<CoherenceView>,
+}
+
+/// A moment of a series: a step, or a place between it and the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// The step, or the earlier of the two.
+    pub step: usize,
+    /// Weight of the next step, in [0, 1).
+    pub weight: f64,
+}
+
+impl Moment {
+    /// The moment of a step.
+    pub fn at(step: usize) -> Self {
+        Self { step, weight: 0.0 }
+    }
+
+    /// The moment of a time: between the two steps around it, or the first or last step beyond them.
+    pub fn of_time(times: &[f64], time: f64) -> Self {
+        let after = times.partition_point(|&t| t <= time);
+        match after {
+            0 => Self::at(0),
+            n if n == times.len() => Self::at(n - 1),
+            n => Self { step: n - 1, weight: (time - times[n - 1]) / (times[n] - times[n - 1]) },
+        }
+    }
+
+    /// Its time, on the axis of a series.
+    pub fn time(self, times: &[f64]) -> f64 {
+        match self.weight > 0.0 {
+            false => times[self.step],
+            true => times[self.step] + self.weight * (times[self.step + 1] - times[self.step]),
+        }
+    }
+}
+
+/// Where the bricks of a picture came from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BrickCounts {
+    /// Not drawn: no data, transparent, or outside the picture.
+    pub skipped: usize,
+    /// Drawn as one value.
+    pub constant: usize,
+    /// Drawn from memory.
+    pub reused: usize,
+    /// Read and decoded for this picture.
+    pub new: usize,
+}
+
+impl BrickCounts {
+    /// Bricks that were drawn.
+    pub fn drawn(&self) -> usize {
+        self.constant + self.reused + self.new
+    }
+}
+
+/// A picture, and what it took.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// The volume over nothing.
+    pub image: Image,
+    /// Samples taken, transparent space left out.
+    pub samples: u64,
+    /// Bricks by what became of them.
+    pub bricks: BrickCounts,
+    /// Time to select, read and decode, in milliseconds.
+    pub fetch_ms: f64,
+    /// Time to draw, in milliseconds.
+    pub render_ms: f64,
+    /// What went wrong and was made up for: each names the brick.
+    pub warnings: Vec<String>,
+}
+
+/// The spans of one level at one step, in the order of its nodes.
+type Spans = Arc<Vec<SpanRecord>>;
+
+/// An open store, one variable of which is drawn.
+pub struct Session {
+    store: Store,
+    tree: Arc<Octree>,
+    variable: usize,
+    bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
+    /// Payloads of several steps: the next step of each is decoded without reading it again.
+    payloads: ByteLru<PayloadKey, Arc<Payload>>,
+    spans: ByteLru<(u8, u32), Spans>,
+    statistics: ByteLru<TimeNode, Arc<Vec<NodeStatistics>>>,
+    colors: Colors,
+    portion_bytes: usize,
+    memory_bytes: u64,
+}
+
+/// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
+const RESIDENT_SHARE: f64 = 0.5;
+/// Share of the memory budget for payloads that later steps need as well.
+const PAYLOAD_SHARE: f64 = 0.1;
+/// Share of the memory budget that the bricks of one portion of a picture may take.
+const PORTION_SHARE: f64 = 0.25;
+/// Bytes that a pixel takes while a picture is made: what is gathered, tiles in flight, and the bytes shown.
+const BYTES_PER_PIXEL: u64 = 40;
+/// Share for the records of spans, and for the statistics of time nodes.
+const SPANS_SHARE: f64 = 0.05;
+
+impl Session {
+    /// Opens a store to draw a variable of it, the first where none is named.
+    ///
+    /// # Errors
+    /// If the store cannot be opened, has no such variable, or has no finished step yet.
+    pub fn open(path: &Path, variable: Option<&str>, memory_bytes: u64) -> anyhow::Result<Self> {
+        let store = Store::open(path)?;
+        let variable = match variable {
+            None => 0,
+            Some(name) => store.header().variable(name).with_context(|| {
+                let names: Vec<&str> = store.header().variables.iter().map(|v| v.name.as_str()).collect();
+                format!("{}: no variable {name:?}; it has {}", path.display(), names.join(", "))
+            })?,
+        };
+        if store.header().num_steps_finished == 0 {
+            bail!("{}: no time step is finished yet; finish it with encode --resume", path.display());
+        }
+        let share = |part: f64| (memory_bytes as f64 * part) as usize;
+        Ok(Self {
+            tree: Arc::new(store.tree().clone()),
+            store,
+            variable,
+            bricks: ByteLru::new(share(RESIDENT_SHARE)),
+            payloads: ByteLru::new(share(PAYLOAD_SHARE)),
+            spans: ByteLru::new(share(SPANS_SHARE)),
+            statistics: ByteLru::new(share(SPANS_SHARE)),
+            colors: Colors::default(),
+            portion_bytes: share(PORTION_SHARE),
+            memory_bytes,
+        })
+    }
+
+    /// The store.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// Index of the variable that is drawn.
+    pub fn variable(&self) -> usize {
+        self.variable
+    }
+
+    /// The range of the variable over the steps that are finished.
+    pub fn variable_range(&self) -> [f64; 2] {
+        let variable = &self.store.header().variables[self.variable];
+        [variable.min.unwrap_or(0.0), variable.max.unwrap_or(0.0)]
+    }
+
+    /// A transfer function over the variable's range.
+    ///
+    /// # Errors
+    /// If a point of the function overflows.
+    pub fn resolve(&self, transfer: &TransferFunction) -> anyhow::Result<ResolvedTransfer> {
+        Ok(transfer.resolve(self.variable_range())?)
+    }
+
+    /// How many steps of full resolution stay resident, at least.
+    pub fn num_resident_steps(&self) -> usize {
+        let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks);
+        let step_bytes = brick_bytes.saturating_mul(self.tree.nodes(0).len());
+        (self.memory_bytes as f64 * RESIDENT_SHARE) as usize / step_bytes.max(1)
+    }
+
+    /// What the cache of bricks did so far.
+    pub fn cache_counts(&self) -> CacheCounts {
+        self.bricks.counts()
+    }
+
+    /// Bytes of payloads, masks and spans that were read so far.
+    pub fn bytes_from_disk(&self) -> u64 {
+        self.store.bytes_read()
+    }
+
+    /// Draws a step.
+    ///
+    /// A brick whose bytes are damaged is replaced by its parent, with a warning that names it.
+    ///
+    /// # Errors
+    /// If a step is out of range, the view cannot be drawn, or damage leaves nothing to draw from.
+    pub fn draw(&mut self, view: &View, step: usize) -> anyhow::Result<Picture> {
+        self.draw_moment(view, Moment::at(step))
+    }
+
+    /// Draws a moment at a step or between two. Between steps nothing is kept in memory, and a damaged brick is an error.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_moment(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture> {
+        let num_steps = self.store.header().num_steps_finished as usize;
+        let Moment { step, weight } = moment;
+        let last = step + usize::from(weight > 0.0);
+        if last >= num_steps || !(0.0..1.0).contains(&weight) {
+            bail!("step {last} is not in the store: its steps are 0 to {}", num_steps - 1);
+        }
+        if weight > 0.0 && view.coherence.is_some_and(|c| c.tolerances != Tolerances::default()) {
+            bail!("tolerances are for steps: give none with --blend-steps, which draws between two");
+        }
+        let picture_bytes = view.size[0] as u64 * view.size[1] as u64 * BYTES_PER_PIXEL;
+        if picture_bytes > self.memory_bytes {
+            let [width, height] = view.size;
+            bail!("--size {width}x{height} takes {picture_bytes} bytes, more than --memory allows; raise it");
+        }
+        let step = step as u32;
+        let start = Instant::now();
+        let mut faults = Faults::default();
+        let items = self.select(view, step, weight, &mut faults)?;
+        let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
+
+        let scene = self.scene(view);
+        let mut frame = Frame::new(&scene, CpuOptions::default())?;
+        let mut bricks = BrickCounts::default();
+        let mut rest = &items[..];
+        while !rest.is_empty() {
+            let start = Instant::now();
+            let (portion, after) = rest.split_at(self.portion_len(rest));
+            rest = after;
+            let draws = match weight > 0.0 {
+                false => self.fetch(portion, &mut bricks, &mut faults)?,
+                true => self.fetch_between(portion, step, weight, &mut bricks)?,
+            };
+            fetch_ms += start.elapsed().as_secs_f64() * 1e3;
+            frame.draw(&draws)?;
+        }
+        let (image, stats) = frame.finish();
+        let RenderStats { num_samples, render_ms, .. } = stats;
+        Ok(Picture { image, samples: num_samples, bricks, fetch_ms, render_ms, warnings: faults.warnings })
+    }
+}
+
+impl Session {
+    fn scene(&self, view: &View) -> Scene {
+        let header = self.store.header();
+        Scene {
+            grid: header.grid,
+            layout: header.bricks,
+            camera: view.camera,
+            transfer: view.transfer.clone(),
+            size: view.size,
+            step_voxels: view.step_voxels,
+            lighting: view.lighting,
+            opacity_unit: view.opacity_unit,
+        }
+    }
+}
+
+/// Warnings of one picture; a flood of them is cut short.
+#[derive(Default)]
+struct Faults {
+    warnings: Vec<String>,
+}
+
+impl Faults {
+    const MOST: usize = 20;
+
+    fn warn(&mut self, warning: String) {
+        match self.warnings.len() {
+            n if n < Self::MOST => self.warnings.push(warning),
+            Self::MOST => self.warnings.push("more bricks are damaged; run verify to list them".into()),
+            _ => {}
+        }
+    }
+}
+
+/// A camera that shows the whole grid.
+///
+/// # Errors
+/// If an angle, the zoom or the field of view is out of range.
+pub fn orbit_camera(
+    grid: &UniformGrid,
+    angles_deg: [f64; 2],
+    zoom: f64,
+    fov_y_deg: Option<f64>,
+    size: [usize; 2],
+) -> anyhow::Result<Camera> {
+    let aspect = size[0] as f64 / size[1] as f64;
+    Ok(Camera::orbit(grid.bounds(), angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
+}
+
