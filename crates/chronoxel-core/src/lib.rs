@@ -14,6 +14,7 @@ pub mod grid;
 pub mod image;
 pub mod image8;
 pub mod lighting;
+pub mod metrics;
 pub mod octree;
 pub mod samples;
 pub mod span;
@@ -34,6 +35,10 @@ pub use grid::UniformGrid;
 pub use image::{Background, Image};
 pub use image8::Image8;
 pub use lighting::Lighting;
+pub use metrics::{
+    BrickColors, ColorEstimate, ColorSpace, ColorSums, ColorTable, VoxelColors, approximate_spatial,
+    approximate_temporal,
+};
 pub use octree::{LevelGeometry, NodeId, Octree};
 pub use samples::Samples;
 pub use span::{PayloadAddress, SpanKind, SpanRecord, SpanStatistics};

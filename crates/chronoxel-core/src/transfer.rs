@@ -251,6 +251,29 @@ impl ResolvedTransfer {
             && self.evaluate(max)[3] == 0.0
             && inside.into_iter().all(|p| p.opacity == 0.0)
     }
+
+    /// Whether every value of the closed range has the same colour and the same opacity, exactly: steps and corners inside count.
+    ///
+    /// A range with a NaN is not, nor is a reversed one.
+    pub fn is_constant_over(&self, [min, max]: [f64; 2]) -> bool {
+        if min.is_nan() || max.is_nan() || min >= max {
+            return min == max;
+        }
+        let points = &self.points;
+        let above_min = points.partition_point(|p| p.x <= min);
+        let above_max = points.partition_point(|p| p.x <= max);
+        let first = above_min.saturating_sub(1);
+        // A segment that is left inside the range goes on to its end.
+        let ends_at_point = above_max > 0 && points[above_max - 1].x == max;
+        let last = (above_max + usize::from(!ends_at_point)).min(points.len());
+        let look = |p: &TransferPoint| (p.color, p.opacity);
+        // Of several points at one x, those between the first and the last never show.
+        let shows = |i: &usize| {
+            let is_at = |j: Option<usize>| j.and_then(|j| points.get(j)).is_some_and(|p| p.x == points[*i].x);
+            !(is_at(i.checked_sub(1)) && is_at(i.checked_add(1)))
+        };
+        (above_min..last).filter(shows).all(|i| look(&points[i]) == look(&points[first]))
+    }
 }
 
 #[cfg(test)]
