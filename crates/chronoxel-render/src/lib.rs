@@ -12,5 +12,5 @@ pub mod scene;
 pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
 pub use error::RenderError;
 pub use prepared::PreparedBrick;
-pub use reference::{DenseField, render_reference};
+pub use reference::{DenseField, render_reference, render_reference_with};
 pub use scene::{DrawBrick, DrawHow, RenderStats, Scene};

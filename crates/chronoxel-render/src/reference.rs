@@ -1,12 +1,12 @@
 //! The reference renderer: what the right picture is.
 //!
-//! Double precision over a dense field, one ray after another, every sample of it: no bricks, no tables, no early
-//! end. It is slow, and meant to be read.
+//! Double precision over a dense field, one ray after another, every sample of it: no tables, no early end, and bricks
+//! only where a draw list has constants in place of samples. It is slow, and meant to be read.
 
 use chronoxel_core::{Image, Ray, compositing};
 
 use crate::scene::clip_to_box;
-use crate::{RenderError, Scene};
+use crate::{DrawBrick, DrawHow, RenderError, Scene};
 
 /// A dense field of samples over the scene's grid, `[z, y, x]`.
 #[derive(Debug, Clone, Copy)]
@@ -19,9 +19,25 @@ pub struct DenseField<'a> {
 
 /// The picture of a scene, by definition.
 ///
+/// Samples lie one step length of the scene's finest level apart.
+///
 /// # Errors
 /// [`RenderError`] if the scene cannot be drawn, or the field has another number of samples than the grid.
 pub fn render_reference(scene: &Scene, field: &DenseField) -> Result<Image, RenderError> {
+    render_reference_with(scene, field, &[])
+}
+
+/// [`render_reference`], with what a draw list puts in place of samples: nothing, or a constant.
+///
+/// * `bricks`: in any order; where none lies, and where one has samples, the field is drawn
+///
+/// # Errors
+/// As [`render_reference`].
+pub fn render_reference_with(
+    scene: &Scene,
+    field: &DenseField,
+    bricks: &[DrawBrick],
+) -> Result<Image, RenderError> {
     scene.check()?;
     let num_samples = scene.grid.num_samples();
     if field.samples.len() != num_samples || field.mask.is_some_and(|m| m.len() != num_samples) {
@@ -32,39 +48,58 @@ pub fn render_reference(scene: &Scene, field: &DenseField) -> Result<Image, Rend
     let mut image = Image::new(width, height)?;
     for (i, pixel) in image.pixels.iter_mut().enumerate() {
         let centre = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
-        *pixel = march(scene, field, &scene.camera.ray(centre, scene.size)).map(|c| c as f32);
+        *pixel = march(scene, field, bricks, &scene.camera.ray(centre, scene.size)).map(|c| c as f32);
     }
     Ok(image)
 }
 
-fn march(scene: &Scene, field: &DenseField, ray: &Ray) -> [f64; 4] {
+fn march(scene: &Scene, field: &DenseField, bricks: &[DrawBrick], ray: &Ray) -> [f64; 4] {
     let mut pixel = [0.0; 4];
     let Some([entry, exit]) = clip_to_box(ray, scene.grid.bounds()) else { return pixel };
-    let dt = scene.step_length();
+    let dt = scene.step_length_at(scene.finest_level);
     let num_samples = ((exit - entry) / dt).round() as usize;
     for k in 0..num_samples {
         let t = entry + (k as f64 + 0.5) * dt;
         let world = std::array::from_fn(|a| ray.origin[a] + t * ray.direction[a]);
         let voxel = scene.grid.voxel_from_world(world);
-        if field.mask.is_some_and(|mask| mask[nearest(scene, voxel)]) {
-            continue;
-        }
-        let value = interpolate(scene, voxel, |i| field.samples[i]);
-        let [r, g, b, opacity] = scene.transfer.evaluate(value);
-        let alpha = compositing::correct_opacity(opacity, dt, scene.opacity_unit);
-        let (scattered, highlight) = match &scene.lighting {
-            None => (1.0, 0.0),
-            Some(lighting) => {
-                let gradient = std::array::from_fn(|axis| {
-                    interpolate(scene, voxel, |i| central_difference(scene, field, i, axis))
-                });
-                lighting.headlight_terms(gradient, ray.direction)
-            }
+        let unlit = |color| Some((color, (1.0, 0.0)));
+        let seen = match bricks.iter().find(|brick| owns(scene, brick, voxel)).map(|brick| &brick.how) {
+            Some(DrawHow::Skip) => None,
+            Some(DrawHow::Constant(value)) => unlit(scene.transfer.evaluate(*value)),
+            Some(DrawHow::ConstantColor([r, g, b], opacity)) => unlit([*r, *g, *b, *opacity].map(f64::from)),
+            Some(DrawHow::Samples(_)) | None => sample(scene, field, voxel, ray),
         };
+        let Some(([r, g, b, opacity], (scattered, highlight))) = seen else { continue };
+        let alpha = compositing::correct_opacity(opacity, dt, scene.opacity_unit);
         let lit = |c: f64| alpha * (c * scattered + highlight);
         compositing::accumulate(&mut pixel, [lit(r), lit(g), lit(b), alpha]);
     }
     pixel
+}
+
+/// Whether a place lies in a brick's box, which is open at the grid's faces.
+fn owns(scene: &Scene, brick: &DrawBrick, voxel: [f64; 3]) -> bool {
+    let [low, high] = brick.region;
+    (0..3).all(|a| {
+        let last = (scene.grid.dims[a] - 1) as f64;
+        let is_above = low[a] <= 0.0 || (low[a] < last && low[a] <= voxel[a]);
+        is_above && (high[a] >= last || voxel[a] < high[a])
+    })
+}
+
+/// Colour and opacity of the field at a place, and how the colour is lit; `None` where it is masked.
+fn sample(scene: &Scene, field: &DenseField, voxel: [f64; 3], ray: &Ray) -> Option<([f64; 4], (f64, f64))> {
+    if field.mask.is_some_and(|mask| mask[nearest(scene, voxel)]) {
+        return None;
+    }
+    let color = scene.transfer.evaluate(interpolate(scene, voxel, |i| field.samples[i]));
+    let terms = scene.lighting.map_or((1.0, 0.0), |lighting| {
+        let gradient = std::array::from_fn(|axis| {
+            interpolate(scene, voxel, |i| central_difference(scene, field, i, axis))
+        });
+        lighting.headlight_terms(gradient, ray.direction)
+    });
+    Some((color, terms))
 }
 
 fn nearest(scene: &Scene, voxel: [f64; 3]) -> usize {

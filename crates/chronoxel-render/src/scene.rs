@@ -13,6 +13,8 @@ use crate::{PreparedBrick, RenderError};
 /// A ray takes samples at `t_k = t_entry + (k + ½) · dt`, where `t_entry` is where it enters the box of the grid and
 /// `k` counts from 0 to `round((t_exit − t_entry) / dt)`; a brick of level `l` is sampled at the same rule with
 /// `dt · 2^l`. Each brick owns the samples inside its box, by a rule that depends on the planes of the box alone.
+/// Constants own samples of the picture's finest level, whatever their own: between them and its bricks, no sample is
+/// lost or taken twice.
 #[derive(Debug, Clone)]
 pub struct Scene {
     /// Where samples lie.
@@ -27,16 +29,26 @@ pub struct Scene {
     pub size: [usize; 2],
     /// Distance between samples at level 0, in multiples of the grid's smallest spacing; up to 2.
     pub step_voxels: f64,
+    /// The finest level that the picture draws, by whose step length constants are crossed; below 32.
+    pub finest_level: u8,
     /// How samples are lit; `None` draws their own colours.
     pub lighting: Option<Lighting>,
     /// Path length that the transfer function's opacities refer to, world units.
     pub opacity_unit: f64,
 }
 
+/// Levels that a draw list may have: more than any grid of 2^31 samples along an axis.
+pub(crate) const MAX_LEVELS: u8 = 32;
+
 impl Scene {
     /// Distance between samples at level 0, world units.
     pub fn step_length(&self) -> f64 {
         self.step_voxels * self.grid.smallest_spacing()
+    }
+
+    /// Distance between samples at a level below [`MAX_LEVELS`], world units.
+    pub(crate) fn step_length_at(&self, level: u8) -> f64 {
+        self.step_length() * (1u64 << level) as f64
     }
 
     /// Checks that the scene can be drawn.
@@ -51,6 +63,9 @@ impl Scene {
         if !(0.01..=2.0).contains(&self.step_voxels) {
             let remedy = "use a number of voxels between 0.01 and 2";
             return Err(RenderError::invalid("step length", self.step_voxels, remedy));
+        }
+        if self.finest_level >= MAX_LEVELS {
+            return Err(RenderError::invalid("finest level", self.finest_level, "it must be below 32"));
         }
         if !(self.opacity_unit.is_finite() && self.opacity_unit > 0.0) {
             let remedy = "it must be a finite and positive length";
@@ -95,9 +110,10 @@ pub struct DrawBrick {
 pub enum DrawHow {
     /// Nothing is seen there.
     Skip,
-    /// One value everywhere.
+    /// One value everywhere, crossed in closed form and unlit.
     Constant(f64),
-    /// One sRGB colour and opacity per unit length everywhere, whatever the transfer function.
+    /// One sRGB colour and opacity per unit length everywhere, whatever the transfer function: crossed in closed form,
+    /// unlit.
     ConstantColor([f32; 3], f32),
     /// Samples.
     Samples(Arc<PreparedBrick>),

@@ -25,6 +25,7 @@ fn scenes() {
     assert_refused(&Scene { step_voxels: 0.0, ..scene.clone() }, &[], "step length is 0");
     assert_refused(&Scene { step_voxels: f64::NAN, ..scene.clone() }, &[], "step length is NaN");
     assert_refused(&Scene { opacity_unit: -1.0, ..scene.clone() }, &[], "opacity unit is -1");
+    assert_refused(&Scene { finest_level: 32, ..scene.clone() }, &[], "finest level is 32");
     assert_refused(&Scene { size: [0, 9], ..scene.clone() }, &[], "0x9");
     let few = DenseField { samples: &field.samples[1..], mask: None };
     assert!(render_reference(&scene, &few).unwrap_err().to_string().contains("7999"));

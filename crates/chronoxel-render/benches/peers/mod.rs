@@ -54,6 +54,7 @@ pub fn scene(field: &Field, function: &str, domain: [f64; 2], lit: bool) -> Scen
         transfer: transfer_function(function, domain),
         size: [512, 512],
         step_voxels: 0.5,
+        finest_level: 0,
         lighting: lit.then(Lighting::default),
         opacity_unit: 1.0,
     }

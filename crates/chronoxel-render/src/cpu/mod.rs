@@ -17,6 +17,7 @@ use chronoxel_core::{Image, UniformGrid};
 use rayon::prelude::*;
 
 use crate::prepared::BLOCK_EDGE;
+use crate::scene::MAX_LEVELS;
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
 pub use kernel::kernel_name;
@@ -138,27 +139,23 @@ impl<'a> Frame<'a> {
 /// One table per level that is drawn: opacities are those of the level's step length.
 struct Tables {
     of_level: Vec<Option<Table>>,
-    step_length: f64,
 }
-
-/// Levels that a draw list may have: more than any grid of 2^31 samples along an axis.
-const MAX_LEVELS: usize = 32;
 
 impl Tables {
     fn new(scene: &Scene, bricks: &[DrawBrick]) -> Result<Self, RenderError> {
         let mut of_level: Vec<Option<Table>> = Vec::new();
         for brick in bricks {
-            let level = usize::from(brick.node.level);
-            if level >= MAX_LEVELS {
-                return Err(RenderError::invalid("brick's level", level, "it must be below 32"));
+            if brick.node.level >= MAX_LEVELS {
+                return Err(RenderError::invalid("brick's level", brick.node.level, "it must be below 32"));
             }
+            let level = usize::from(brick.node.level);
             of_level.resize_with(of_level.len().max(level + 1), || None);
             if of_level[level].is_none() && matches!(brick.how, DrawHow::Samples(_)) {
-                let dt = scene.step_length() * (1u64 << level) as f64;
+                let dt = scene.step_length_at(brick.node.level);
                 of_level[level] = Some(Table::new(&scene.transfer, dt, scene.opacity_unit));
             }
         }
-        Ok(Self { of_level, step_length: scene.step_length() })
+        Ok(Self { of_level })
     }
 }
 
@@ -183,10 +180,12 @@ impl<'a> Job<'a> {
             let remedy = "the lower corner must lie below the upper one";
             return Err(RenderError::invalid("brick's region", format!("{:?}", brick.region), remedy));
         }
-        let level = brick.node.level;
-        let dt = tables.step_length * (1u64 << level) as f64;
+        let mut level = brick.node.level;
+        if matches!(brick.how, DrawHow::Constant(_) | DrawHow::ConstantColor(..)) {
+            level = level.min(scene.finest_level);
+        }
         let constant = |color: [f64; 4]| {
-            let sample = table::premultiplied(color, dt, scene.opacity_unit);
+            let sample = table::premultiplied(color, scene.step_length_at(level), scene.opacity_unit);
             (sample[3] > 0.0).then_some(Work::Constant(sample))
         };
         let mut region = brick.region;

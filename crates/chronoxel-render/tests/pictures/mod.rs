@@ -127,6 +127,7 @@ pub fn scene_of(field: &Field, edge: usize, function: &str, lit: bool) -> Scene 
         transfer: transfer.resolve(field.range()).unwrap(),
         size: [120, 100],
         step_voxels: 0.5,
+        finest_level: 0,
         lighting: lit.then(Lighting::default),
         opacity_unit: field.grid.smallest_spacing(),
     }

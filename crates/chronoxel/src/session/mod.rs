@@ -284,6 +284,7 @@ impl Session {
             transfer: view.transfer.clone(),
             size: view.size,
             step_voxels: view.step_voxels,
+            finest_level: view.level.min(self.store.tree().num_levels() as u8 - 1),
             lighting: view.lighting,
             opacity_unit: view.opacity_unit,
         }

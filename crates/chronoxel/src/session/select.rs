@@ -174,7 +174,7 @@ impl Session {
             return Ok(Arc::clone(errors));
         }
         let errors =
-            Arc::new(reference::compute(&self.store, self.variable, &view.transfer, self.variable_range(), space)?);
+            Arc::new(reference::compute(&self.store, self.variable, &view.transfer, space)?);
         self.colors.reference = Some((space, view.transfer.clone(), Arc::clone(&errors)));
         Ok(errors)
     }

@@ -64,6 +64,7 @@ fn a_picture_is_the_one_that_the_reference_renderer_draws() {
             transfer: TransferFunction::from_json(function).unwrap().resolve(range).unwrap(),
             size,
             step_voxels: 0.5,
+            finest_level: 0,
             lighting: (lighting == "on").then(Lighting::default),
             opacity_unit: 1.0,
         };
