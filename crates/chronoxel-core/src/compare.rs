@@ -26,7 +26,7 @@ pub struct ImageDifference {
 /// [`CoreError::InvalidArgument`] if their sizes differ or they have no pixels.
 pub fn compare(a: &Image8, b: &Image8) -> Result<ImageDifference, CoreError> {
     check_sizes(a, b)?;
-    let (luv_mean, luv_max) = luv_distances(a, b);
+    let (luv_mean, luv_max) = luv_distance(a, b)?;
     Ok(ImageDifference {
         psnr_db: psnr_db(a, b),
         ssim: ssim(&luma(a), &luma(b), a.width),
@@ -142,8 +142,12 @@ fn gaussian_means(values: &[f64], width: usize) -> Vec<f64> {
     (0..num_rows * inner).map(column).collect()
 }
 
-/// Mean and largest L\*u\*v\* distance of the pixels.
-fn luv_distances(a: &Image8, b: &Image8) -> (f64, f64) {
+/// Mean and largest L\*u\*v\* distance (D65) of the pixels of two pictures of one size.
+///
+/// # Errors
+/// [`CoreError::InvalidArgument`] if their sizes differ or they have no pixels.
+pub fn luv_distance(a: &Image8, b: &Image8) -> Result<(f64, f64), CoreError> {
+    check_sizes(a, b)?;
     let linear: Vec<f64> = (0..=255).map(|c| color::linear_from_srgb(f64::from(c) / 255.0)).collect();
     let luv = |pixel: [u8; 4]| color::luv_from_linear(over_black(pixel).map(|c| linear[usize::from(c)]));
     let distance = |(p, q): (&[u8; 4], &[u8; 4])| {
@@ -159,7 +163,7 @@ fn luv_distances(a: &Image8, b: &Image8) -> (f64, f64) {
         .zip(&b.pixels)
         .map(distance)
         .fold((0.0, 0.0f64), |(sum, max), distance| (sum + distance, max.max(distance)));
-    (sum / a.pixels.len() as f64, max)
+    Ok((sum / a.pixels.len() as f64, max))
 }
 
 #[cfg(test)]

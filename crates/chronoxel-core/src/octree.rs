@@ -78,8 +78,7 @@ impl LevelGeometry {
     /// Core samples of brick `[x, y, z]` that lie inside the grid, as indices into the full brick, in its order.
     pub fn core_inside(&self, brick: [usize; 3], layout: &BrickLayout) -> Vec<u32> {
         let (full, low) = (layout.full_edge(), layout.low);
-        let [nx, ny, nz] =
-            std::array::from_fn(|a| (self.dims[a] - brick[a] * layout.edge).min(layout.edge));
+        let [nx, ny, nz] = std::array::from_fn(|a| (self.dims[a] - brick[a] * layout.edge).min(layout.edge));
         let rows = (0..nz).flat_map(|z| (0..ny).map(move |y| low + full * (low + y + full * (low + z))));
         rows.flat_map(|start| start as u32..(start + nx) as u32).collect()
     }

@@ -4,10 +4,13 @@
 
 pub mod metric;
 pub mod select;
+pub mod shares;
 pub mod view;
 
 pub use metric::{
-    ApproximateErrors, Estimates, NodeErrors, Place, ReferenceError, ReferenceErrors, ScalarErrors, StepStatistics,
+    ApproximateErrors, Estimates, NodeErrors, Place, ReferenceError, ReferenceErrors, ScalarErrors,
+    StepStatistics,
 };
 pub use select::{Appearance, Coherence, DrawItem, How, Selector, Tolerances};
+pub use shares::Shares;
 pub use view::ViewVolume;

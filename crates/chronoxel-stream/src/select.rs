@@ -109,7 +109,8 @@ impl Selector<'_> {
         let sizes = (0..self.tree.num_levels()).map(|level| self.tree.nodes(level as u8).len());
         let first_of_level = sizes.scan(0, |sum, n| Some(std::mem::replace(sum, *sum + n))).collect();
         let eye = Eye::of(&self.view.camera, self.grid);
-        let mut walk = Walk { selector: self, eye, first_of_level, coherence, record, appearance, items: Vec::new() };
+        let mut walk =
+            Walk { selector: self, eye, first_of_level, coherence, record, appearance, items: Vec::new() };
         walk.descend(self.tree.root())?;
         Ok(walk.items)
     }
@@ -302,88 +303,4 @@ fn draws_alike((a, step_a): (&SpanRecord, u32), (b, step_b): (&SpanRecord, u32))
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use chronoxel_core::{Camera, Projection, SpanStatistics, octree::levels_of};
-
-    fn everything(eye: [f64; 3]) -> ViewVolume {
-        let projection = Projection::Perspective { fov_y_deg: 30.0 };
-        ViewVolume {
-            camera: Camera::new(eye, [0.0; 3], [0.0, 1.0, 0.0], projection).unwrap(),
-            planes: vec![],
-        }
-    }
-
-    fn record(kind: SpanKind, drawn_range: [f64; 2]) -> SpanRecord {
-        let statistics = SpanStatistics { count: 1, min: 0.0, max: 0.0, mean: 0.0, std: 0.0 };
-        SpanRecord { start: 0, len: 1, window: 1, kind, mask: None, drawn_range, statistics }
-    }
-
-    fn volume(items: &[DrawItem]) -> f64 {
-        items.iter().map(|i| (0..3).map(|a| i.region[1][a] - i.region[0][a]).product::<f64>()).sum()
-    }
-
-    #[test]
-    fn every_level_covers_the_volume_once() {
-        let grid = UniformGrid::new([20, 9, 30], [0.0; 3], [1.0; 3]).unwrap();
-        let layout = BrickLayout::new(8).unwrap();
-        let levels = levels_of(&grid, &layout);
-        let tree = Octree::full(&levels);
-        let view = everything([-5.0, 40.0, 11.0]);
-        for level in 0..levels.len() as u8 {
-            let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level, view: &view };
-            let items = selector
-                .draw_list(|_| Ok::<_, ()>(record(SpanKind::Constant(1.0), [1.0; 2])), |_| false)
-                .unwrap();
-            assert!(items.iter().all(|i| i.node.level == level));
-            assert_eq!(volume(&items), 24.0 * 16.0 * 32.0);
-        }
-    }
-
-    #[test]
-    fn a_missing_child_is_drawn_from_its_parent() {
-        let grid = UniformGrid::new([16, 16, 16], [0.0; 3], [1.0; 3]).unwrap();
-        let layout = BrickLayout::new(8).unwrap();
-        let tree = Octree::from_levels(vec![vec![0, 1, 2, 4, 5, 6, 7], vec![0]]).unwrap();
-        let view = everything([100.0; 3]);
-        let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level: 0, view: &view };
-        let items = selector
-            .draw_list(|_| Ok::<_, ()>(record(SpanKind::Constant(1.0), [1.0; 2])), |_| false)
-            .unwrap();
-        let parents: Vec<_> = items.iter().filter(|i| i.node.level == 1).map(|i| i.region).collect();
-        assert_eq!(parents, [[[8.0, 8.0, 0.0], [16.0, 16.0, 8.0]]]);
-        assert_eq!(volume(&items), 4096.0);
-    }
-
-    #[test]
-    fn nothing_is_hidden_by_what_comes_after_it() {
-        let grid = UniformGrid::new([64, 32, 64], [0.0; 3], [1.0; 3]).unwrap();
-        let layout = BrickLayout::new(8).unwrap();
-        let tree = Octree::full(&levels_of(&grid, &layout));
-        for eye in [[-9.0, 70.0, 20.0], [33.0, 12.0, 30.0], [80.0, 15.0, -40.0]] {
-            let view = everything(eye);
-            let selector = Selector { tree: &tree, layout: &layout, grid: &grid, level: 0, view: &view };
-            let items = selector
-                .draw_list(|_| Ok::<_, ()>(record(SpanKind::Constant(1.0), [1.0; 2])), |_| false)
-                .unwrap();
-            for (n, first) in items.iter().enumerate() {
-                for later in &items[n + 1..] {
-                    // Some plane has the later box on its far side, as seen from the eye.
-                    let apart = (0..3).any(|a| {
-                        let ([low, high], [l, h]) = (first.region, later.region);
-                        (h[a] <= low[a] && eye[a] >= h[a]) || (l[a] >= high[a] && eye[a] <= l[a])
-                    });
-                    assert!(apart, "{first:?} before {later:?}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn empty_and_transparent_nodes_are_skipped() {
-        let hidden = |range: [f64; 2]| range[1] < 0.5;
-        assert_eq!(how_to_draw(&record(SpanKind::Empty, [0.0, 1.0]), hidden), How::Skip);
-        assert_eq!(how_to_draw(&record(SpanKind::Constant(0.2), [0.2; 2]), hidden), How::Skip);
-        assert_eq!(how_to_draw(&record(SpanKind::Constant(0.7), [0.7; 2]), hidden), How::Constant(0.7));
-    }
-}
+mod tests;

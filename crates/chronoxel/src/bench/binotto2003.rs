@@ -291,12 +291,7 @@ fn compression_section() -> Section {
          components of textures have 256 values",
         "store: all files, all levels of the octree, aprons and statistics included, at most the error of 8 bits",
     ];
-    Section {
-        title: "Table 2, index and refinement textures".to_owned(),
-        columns,
-        rows: Vec::new(),
-        notes,
-    }
+    Section { title: "Table 2, index and refinement textures".to_owned(), columns, rows: Vec::new(), notes }
 }
 
 #[cfg(test)]

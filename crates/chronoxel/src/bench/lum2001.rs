@@ -10,9 +10,7 @@ use chronoxel_ingest::{Codec, EncodeOptions, encode, measure};
 use chronoxel_store::Store;
 use serde_json::{Map, Value, json};
 
-use super::{
-    BenchReport, Column, Input, Row, Section, Size, Stepping, Style, Workplace, machine, object,
-};
+use super::{BenchReport, Column, Input, Row, Section, Size, Stepping, Style, Workplace, machine, object};
 use crate::process::resource_usage;
 
 /// Steps in one byte: the paper's compression ratios.

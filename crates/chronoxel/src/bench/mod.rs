@@ -4,6 +4,7 @@
 //! keys where both have them. What a bench works with lies in a [`Workplace`], which is removed at the end.
 
 pub mod binotto2003;
+pub mod ellsworth2000;
 mod input;
 pub mod lum2001;
 mod stepping;

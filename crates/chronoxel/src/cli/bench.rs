@@ -14,7 +14,7 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Size, Workplace, binotto2003, lum2001},
+    bench::{BenchReport, Input, Size, Workplace, binotto2003, ellsworth2000, lum2001},
     progress::{Counted, Progress},
 };
 
@@ -25,10 +25,14 @@ use crate::{
   chronoxel bench lum2001 --size full --out results
   chronoxel bench lum2001 --source 'run/density_*.vti' --source 'sim:vortex?dims=96' --json
   chronoxel bench binotto2003 --out results
+  chronoxel bench ellsworth2000 --source 'isabel/*.vti'
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
-  binotto2003  index and refinement textures: sparseness, cells and compression ratio at three levels, beside what a store takes")]
+  binotto2003  index and refinement textures: sparseness, cells and compression ratio at three levels, beside what a store takes
+  ellsworth2000
+               the time-space partitioning tree: time to compute its errors, ms per frame and what is drawn how, by metric, tolerance,
+               transfer function and size of brick")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -53,6 +57,8 @@ enum BenchName {
     Lum2001,
     /// Real-time volume rendering of time-varying data using a fragment-shader compression approach (Binotto, Comba, Freitas, 2003)
     Binotto2003,
+    /// Accelerating time-varying hardware volume rendering using TSP trees and color-based error metrics (Ellsworth, Chiang, Shen, 2000)
+    Ellsworth2000,
 }
 
 /// Sizes of the simulations.
@@ -71,6 +77,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let names = match args.name {
         BenchName::Lum2001 => lum2001::sources(&args.source, size),
         BenchName::Binotto2003 => binotto2003::sources(&args.source),
+        BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
     };
     let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
@@ -90,6 +97,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let report = match args.name {
         BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
         BenchName::Binotto2003 => binotto2003::run(inputs, &place, common.memory.0, &mut progress)?,
+        BenchName::Ellsworth2000 => ellsworth2000::run(inputs, &place, common.memory.0, &mut progress)?,
     };
     if let Some(bar) = bar {
         bar.finish();

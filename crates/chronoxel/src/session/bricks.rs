@@ -4,7 +4,9 @@ use std::{collections::HashMap, sync::Arc};
 
 use anyhow::bail;
 use chronoxel_codec::{Indices, Payload, Stage, Table, decode_resident};
-use chronoxel_core::{BitMask, BrickLayout, NodeId, Octree, PayloadAddress, ResidentBrick, SpanKind, SpanRecord};
+use chronoxel_core::{
+    BitMask, BrickLayout, NodeId, Octree, PayloadAddress, ResidentBrick, SpanKind, SpanRecord,
+};
 use chronoxel_render::{DrawBrick, DrawHow, PreparedBrick};
 use chronoxel_store::{Store, StoreError};
 use chronoxel_stream::{DrawItem, How};
@@ -64,7 +66,6 @@ impl PayloadKey {
         }
     }
 }
-
 
 impl Session {
     /// Turns items selected between two steps into bricks to draw.
@@ -249,7 +250,6 @@ impl Session {
         bail!("brick {brick:?} of level {} is damaged, and so is every node above it", damaged.level)
     }
 }
-
 
 type Loaded = anyhow::Result<Arc<PreparedBrick>>;
 

@@ -13,16 +13,16 @@ use std::{path::Path, sync::Arc, time::Instant};
 use anyhow::{Context, bail};
 use chronoxel_codec::Payload;
 use chronoxel_core::{
-    ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord, TimeNode,
-    TransferFunction, UniformGrid,
+    ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord,
+    TimeNode, TransferFunction, UniformGrid,
 };
 use chronoxel_render::{CpuOptions, Frame, PreparedBrick, RenderStats, Scene};
 use chronoxel_store::Store;
-use chronoxel_stream::Tolerances;
+use chronoxel_stream::{Shares, Tolerances};
 
 use bricks::{BrickKey, PayloadKey};
-pub use select::{CoherenceView, Metric};
 use select::Colors;
+pub use select::{CoherenceView, Metric};
 
 /// What a picture shows, but for the step.
 #[derive(Debug, Clone)]
@@ -108,6 +108,8 @@ pub struct Picture {
     pub samples: u64,
     /// Bricks by what became of them.
     pub bricks: BrickCounts,
+    /// Samples of the grid by how they are drawn.
+    pub shares: Shares,
     /// Time to select, read and decode, in milliseconds.
     pub fetch_ms: f64,
     /// Time to draw, in milliseconds.
@@ -213,6 +215,13 @@ impl Session {
         self.bricks.counts()
     }
 
+    /// Forgets all bricks and payloads: the next picture reads and decodes them anew. What is known of colours stays.
+    pub fn forget_bricks(&mut self) {
+        let share = |part: f64| (self.memory_bytes as f64 * part) as usize;
+        self.bricks = ByteLru::new(share(RESIDENT_SHARE));
+        self.payloads = ByteLru::new(share(PAYLOAD_SHARE));
+    }
+
     /// Bytes of payloads, masks and spans that were read so far.
     pub fn bytes_from_disk(&self) -> u64 {
         self.store.bytes_read()
@@ -251,6 +260,7 @@ impl Session {
         let start = Instant::now();
         let mut faults = Faults::default();
         let items = self.select(view, step, weight, &mut faults)?;
+        let shares = Shares::of(&items, step, &self.store.header().grid);
         let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
 
         let scene = self.scene(view);
@@ -270,7 +280,15 @@ impl Session {
         }
         let (image, stats) = frame.finish();
         let RenderStats { num_samples, render_ms, .. } = stats;
-        Ok(Picture { image, samples: num_samples, bricks, fetch_ms, render_ms, warnings: faults.warnings })
+        Ok(Picture {
+            image,
+            samples: num_samples,
+            bricks,
+            shares,
+            fetch_ms,
+            render_ms,
+            warnings: faults.warnings,
+        })
     }
 }
 
@@ -323,4 +341,3 @@ pub fn orbit_camera(
     let aspect = size[0] as f64 / size[1] as f64;
     Ok(Camera::orbit(grid.bounds(), angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
 }
-

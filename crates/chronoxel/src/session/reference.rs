@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use chronoxel_codec::{Payload, decode_f64};
 use chronoxel_core::{
-    LevelGeometry, NodeId, PayloadAddress, ResolvedTransfer, SpanKind, SpanRecord, TimeNode,
+    LevelGeometry, NodeId, ResolvedTransfer, SpanKind, SpanRecord, TimeNode,
     metrics::{BrickColors, ColorEstimate, ColorSpace, ColorSums, VoxelColors},
 };
 use chronoxel_store::Store;
@@ -93,7 +93,7 @@ impl Brick<'_> {
         let core = self.geometry.core_inside(self.node.brick().map(|b| b as usize), self.store.layout());
         let mut brick = BrickColors::new(core.len(), self.store.header().num_steps());
         let mut sums = Vec::new();
-        let mut held: Option<(u32, PayloadAddress, Payload)> = None;
+        let mut held: Option<(u32, SpanKind, Payload)> = None;
         for (step, record) in records.enumerate() {
             let mut samples = self.samples(record, step as u32, &mut held)?;
             if let Some(mask) = self.store.read_mask(self.variable, 0, record)? {
@@ -109,20 +109,20 @@ impl Brick<'_> {
         &self,
         record: &SpanRecord,
         step: u32,
-        held: &mut Option<(u32, PayloadAddress, Payload)>,
+        held: &mut Option<(u32, SpanKind, Payload)>,
     ) -> anyhow::Result<Vec<f64>> {
         let layout = self.store.layout();
-        let at = match record.kind {
+        match record.kind {
             SpanKind::Empty => return Ok(vec![f64::NAN; layout.num_full()]),
             SpanKind::Constant(value) => return Ok(vec![value; layout.num_full()]),
-            SpanKind::Coded { at, .. } => at,
-        };
+            SpanKind::Coded { .. } => {}
+        }
         let payload = match held.take() {
-            Some((window, place, payload)) if (window, place) == (record.window, at) => payload,
+            Some((window, kind, payload)) if (window, kind) == (record.window, record.kind) => payload,
             _ => self.store.read_payload(self.variable, 0, record)?,
         };
         let samples = decode_f64(&payload, layout, step - record.start)?;
-        *held = Some((record.window, at, payload));
+        *held = Some((record.window, record.kind, payload));
         Ok(samples)
     }
 }

@@ -102,9 +102,9 @@ impl Session {
         };
         let appearance = |range: [f64; 2]| appearance(view, range);
         let mut estimates = self.colors.estimates.take();
-        let mut errors = prepared.zip(estimates.as_mut()).map(|(prepared, (_, estimates))| {
-            prepared.errors(estimates, range[1] - range[0])
-        });
+        let mut errors = prepared
+            .zip(estimates.as_mut())
+            .map(|(prepared, (_, estimates))| prepared.errors(estimates, range[1] - range[0]));
         let coherence = prepared.zip(errors.as_mut()).map(|(prepared, errors)| Coherence {
             tolerances: prepared.choice.tolerances,
             statistics: &prepared.statistics,
@@ -173,8 +173,7 @@ impl Session {
         {
             return Ok(Arc::clone(errors));
         }
-        let errors =
-            Arc::new(reference::compute(&self.store, self.variable, &view.transfer, space)?);
+        let errors = Arc::new(reference::compute(&self.store, self.variable, &view.transfer, space)?);
         self.colors.reference = Some((space, view.transfer.clone(), Arc::clone(&errors)));
         Ok(errors)
     }
