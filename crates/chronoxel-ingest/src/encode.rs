@@ -129,6 +129,7 @@ impl Job {
             tree: Octree::full(&levels),
             variables: described.collect(),
             zstd_level: variables.iter().map(|(_, coding)| coding.how.zstd_level()).max().unwrap_or(1),
+            time_tree: None,
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };

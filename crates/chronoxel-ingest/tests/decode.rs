@@ -59,6 +59,7 @@ fn adaptive_store(folder: &std::path::Path, mask: Option<BitMask>) -> Store {
             classes: vec![PayloadClass::affine(16)],
         }],
         zstd_level: 1,
+        time_tree: None,
         encoder: serde_json::Value::Null,
     };
     let mut writer = StoreWriter::create(&path, &description, false).unwrap();

@@ -101,6 +101,7 @@ fn whole(layout: &BrickLayout, bricks: &[Vec<f32>], bits: u8, folder: &Path) {
             classes: vec![PayloadClass::affine(bits)],
         }],
         zstd_level: 1,
+        time_tree: None,
         encoder: serde_json::Value::Null,
     };
     let path = folder.join("bench.cxl");

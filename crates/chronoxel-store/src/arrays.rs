@@ -6,14 +6,15 @@ use serde_json::{Value, json};
 use crate::{
     Header, StoreError, layout,
     spans::{self, SpanChunk, SpanOrder},
+    statistics,
 };
 
-/// Chunks of spans of so many bytes or less are small,
-const SMALL_SPAN_BYTES: usize = 128 << 10;
+/// Chunks of spans and statistics of so many bytes or less are small,
+const SMALL_BYTES: usize = 128 << 10;
 /// and compressed with this level of zstd;
-const SMALL_SPAN_ZSTD_LEVEL: i32 = 19;
+const SMALL_ZSTD_LEVEL: i32 = 19;
 /// larger ones with this.
-const SPAN_ZSTD_LEVEL: i32 = 6;
+const LARGE_ZSTD_LEVEL: i32 = 6;
 
 /// What an array of payload bytes holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -192,8 +193,15 @@ impl Header {
         for (level, entry) in self.levels.iter().enumerate() {
             children.push(self.child(format!("nodes/L{level}"), &nodes_array(entry.num_nodes), false)?);
         }
-        for entry in &self.variables {
+        for (variable, entry) in self.variables.iter().enumerate() {
             children.push(self.child(entry.folder.clone(), &group(), false)?);
+            if self.time_tree.is_some() {
+                children.push(self.child(format!("{}/time", entry.folder), &group(), false)?);
+            }
+            for time_level in self.time_levels() {
+                let folder = self.statistics_folder(variable as u16, time_level);
+                children.push(self.child(folder, &self.statistics_array(time_level), false)?);
+            }
             for level in 0..self.levels.len() {
                 children.push(self.child(format!("{}/L{level}", entry.folder), &group(), false)?);
             }
@@ -243,6 +251,20 @@ impl Header {
         )
     }
 
+    fn statistics_array(&self, time_level: u8) -> Value {
+        let (rows, nodes) = (self.num_statistics_rows(time_level), self.num_tree_nodes());
+        let fields = statistics::FIELDS.len();
+        array(
+            json!({ "fields": statistics::FIELDS }),
+            json!([self.statistics_rows_per_chunk(time_level), nodes, fields]),
+            json!([transpose(), little_endian(), zstd(self.statistics_zstd_level(time_level)), crc32c()]),
+            "float64",
+            json!(["index", "node", "field"]),
+            json!("NaN"),
+            json!([rows, nodes, fields]),
+        )
+    }
+
     fn bytes_array(&self, id: &ArrayId) -> Value {
         let bytes = self.chunk_bytes(id);
         let nodes = self.num_nodes(id.level);
@@ -271,15 +293,18 @@ impl Header {
         if self.sparse { SpanOrder::ByField } else { SpanOrder::BySpan }
     }
 
-    /// Level of zstd for a level's chunks of spans. Small ones are worth the time.
+    /// Level of zstd for a level's chunks of spans.
     pub(crate) fn span_zstd_level(&self, level: u8, window: u32) -> i32 {
-        let bytes = SpanChunk::size(self.rows_per_shard(window), self.num_nodes(level));
-        match (self.sparse, bytes <= SMALL_SPAN_BYTES) {
-            (false, _) => self.zstd_level,
-            (true, true) => SMALL_SPAN_ZSTD_LEVEL,
-            (true, false) => SPAN_ZSTD_LEVEL,
+        match self.sparse {
+            false => self.zstd_level,
+            true => number_zstd_level(SpanChunk::size(self.rows_per_shard(window), self.num_nodes(level))),
         }
     }
+}
+
+/// Level of zstd for a chunk of numbers of so many bytes. Small ones are worth the time.
+pub(crate) fn number_zstd_level(num_bytes: usize) -> i32 {
+    if num_bytes <= SMALL_BYTES { SMALL_ZSTD_LEVEL } else { LARGE_ZSTD_LEVEL }
 }
 
 fn zstd(level: i32) -> Value {

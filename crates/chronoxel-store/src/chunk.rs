@@ -85,6 +85,27 @@ pub(crate) fn decode(stored: &[u8], num_bytes: usize) -> Result<Vec<u8>, String>
     })
 }
 
+/// The stored form of numbers `[place, field]`, field after field: equal ones lie beside each other.
+pub(crate) fn encode_by_field<const N: usize>(places: &[[f64; N]], level: i32) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(8 * N * places.len());
+    for field in 0..N {
+        places.iter().for_each(|place| bytes.extend_from_slice(&place[field].to_le_bytes()));
+    }
+    encode_once(&bytes, level)
+}
+
+/// The numbers that [`encode_by_field`] stored, of `num_places` places; else what is wrong.
+pub(crate) fn decode_by_field<const N: usize>(
+    stored: &[u8],
+    num_places: usize,
+) -> Result<Vec<[f64; N]>, String> {
+    let bytes = decode(stored, 8 * N * num_places)?;
+    let (values, _) = bytes.as_chunks();
+    let value = |at: usize| f64::from_le_bytes(values[at]);
+    let place = |place: usize| std::array::from_fn(|field| value(field * num_places + place));
+    Ok((0..num_places).map(place).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

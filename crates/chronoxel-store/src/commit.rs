@@ -7,7 +7,10 @@
 //! A disk takes milliseconds to sync one file and hardly more for a hundred at once, so files are synced in groups. What a
 //! machine that stops may lose is what was written since the last group; the state lists it, and a resume checks it.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use rayon::prelude::*;
 
@@ -15,7 +18,7 @@ use crate::{
     Header, StoreError,
     arrays::ArrayKind,
     files,
-    journal::{self, ShardSummary, StateSummary, WindowSummary},
+    journal::{self, KeptSummary, ShardSummary, StateSummary, WindowSummary},
     shard::OpenShard,
     spans::OpenSpans,
     writer::StoreWriter,
@@ -53,6 +56,7 @@ enum Content {
 impl StoreWriter {
     pub(crate) fn commit(&mut self, num_put: u32) -> Result<(), StoreError> {
         self.check_covered(num_put)?;
+        self.check_statistics(num_put)?;
         let closing = self.take_complete();
         let header = &self.header;
         let closed: Result<Vec<Closed>, StoreError> =
@@ -62,19 +66,33 @@ impl StoreWriter {
         }
         for Closed { key, kind, temporary, path, len } in closed? {
             self.describe(key, kind)?;
-            files::rename(&temporary, &path)?;
-            self.header.totals.data_bytes += len;
-            self.unsynced_bytes += len;
-            self.unsynced.push((path, len));
+            self.land(&temporary, path, len)?;
         }
+        let chunks = self.take_statistics(num_put);
+        let header = &self.header;
+        let lens: Result<Vec<u64>, StoreError> = chunks.par_iter().map(|chunk| chunk.close(header)).collect();
+        for (chunk, len) in chunks.into_iter().zip(lens?) {
+            self.land(&chunk.temporary, chunk.path, len)?;
+        }
+        let kept = self.list_kept()?;
         self.header.num_steps_finished = self.num_steps_closed();
         let last = num_put == self.header.num_steps();
         if last || self.unsynced_bytes >= SYNC_BYTES || self.unsynced.len() >= SYNC_FILES {
             self.sync()?;
         }
         self.num_steps_committed = num_put;
-        self.write_state()?;
+        self.write_state(kept)?;
+        self.remove_dropped()?;
         self.write_header()
+    }
+
+    /// Gives a complete file of data its name.
+    fn land(&mut self, temporary: &Path, path: PathBuf, len: u64) -> Result<(), StoreError> {
+        files::rename(temporary, &path)?;
+        self.header.totals.data_bytes += len;
+        self.unsynced_bytes += len;
+        self.unsynced.push((path, len));
+        Ok(())
     }
 
     /// Makes the folders of an array and their metadata before its first file comes to lie there.
@@ -179,7 +197,7 @@ impl StoreWriter {
         chunks.flat_map(OpenSpans::starts).map(|start| start as u32).fold(put, u32::min)
     }
 
-    pub(crate) fn write_state(&mut self) -> Result<(), StoreError> {
+    pub(crate) fn write_state(&mut self, kept: Vec<KeptSummary>) -> Result<(), StoreError> {
         self.write_digests()?;
         let mut numbers = Vec::new();
         for covered in self.covered.iter().flatten().flatten() {
@@ -209,6 +227,7 @@ impl StoreWriter {
                     .collect(),
             });
         }
+        let statistics = self.statistics_summary(&mut numbers);
         let summary = StateSummary {
             description_crc: self.description_crc,
             num_steps_committed: self.num_steps_committed,
@@ -220,6 +239,8 @@ impl StoreWriter {
             num_digests: self.num_digests,
             digests_crc: self.digests_crc,
             windows,
+            statistics,
+            kept,
         };
         let temporary = self.journal_path("state.new");
         files::write(&temporary, &journal::state_bytes(&summary, &numbers)?)?;

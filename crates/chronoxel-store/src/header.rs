@@ -52,6 +52,8 @@ pub struct StoreDescription {
     pub variables: Vec<VariableDescription>,
     /// Level of zstd for payloads and masks, -7 to 22.
     pub zstd_level: i32,
+    /// How the statistics of the time tree are made; `None` for a store without them.
+    pub time_tree: Option<TimeTreeEntry>,
     /// Options of the encoder and the name of the source: kept as they are, and compared by a resume.
     pub encoder: Value,
 }
@@ -82,6 +84,9 @@ pub struct Header {
     pub sparse: bool,
     /// Level of zstd for payloads and masks.
     pub zstd_level: i32,
+    /// How the statistics of the time tree were made; stores without them do not have the field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_tree: Option<TimeTreeEntry>,
     /// Steps `0 .. num_steps_finished` can be read.
     pub num_steps_finished: u32,
     /// What is stored.
@@ -98,6 +103,22 @@ pub struct LevelEntry {
     pub dims: [usize; 3],
     /// Nodes that exist.
     pub num_nodes: usize,
+}
+
+/// How the statistics of the time tree are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimeTreeEntry {
+    /// Every so many core samples along each axis take part in the temporal error: 1, 2 or 4.
+    pub stride: u32,
+}
+
+impl TimeTreeEntry {
+    /// Of a grid: the smallest stride with which at most 2^22 samples take part in the temporal error, 4 where none is.
+    pub fn of_grid(grid: &UniformGrid) -> Self {
+        let is_enough = |stride: &u32| grid.num_samples() as u64 / u64::from(stride.pow(3)) <= 1 << 22;
+        Self { stride: [1, 2].into_iter().find(is_enough).unwrap_or(4) }
+    }
 }
 
 /// One variable of a store.
@@ -149,7 +170,7 @@ pub struct Totals {
     pub payload_bytes: u64,
     /// Bytes of stored masks after zstd, checksums included.
     pub mask_bytes: u64,
-    /// Bytes of all shards and of all chunks of spans: the store less its metadata and nodes.
+    /// Bytes of all shards and of all chunks of spans and statistics: the store less its metadata and nodes.
     pub data_bytes: u64,
 }
 
@@ -177,7 +198,8 @@ impl Header {
 
     /// The header of a store of which nothing is written yet.
     pub(crate) fn of_description(description: &StoreDescription) -> Result<Self, StoreError> {
-        let StoreDescription { grid, times, layout, tree, variables, zstd_level, encoder } = description;
+        let StoreDescription { grid, times, layout, tree, variables, zstd_level, time_tree, encoder } =
+            description;
         let geometry = levels_of(grid, layout);
         if tree.num_levels() != geometry.len() {
             let remedy = format!("the grid has {} levels of bricks", geometry.len());
@@ -213,6 +235,7 @@ impl Header {
             steps_per_shard: layout::steps_per_shard(grid, layout),
             sparse: true,
             zstd_level: *zstd_level,
+            time_tree: *time_tree,
             num_steps_finished: 0,
             totals: Totals::default(),
             encoder: encoder.clone(),
@@ -265,6 +288,11 @@ impl Header {
         }
         if !(-7..=22).contains(&self.zstd_level) {
             return problem("zstd_level", &self.zstd_level, "use -7 to 22");
+        }
+        if let Some(TimeTreeEntry { stride }) = self.time_tree
+            && ![1, 2, 4].contains(&stride)
+        {
+            return problem("time_tree.stride", &stride, "use 1, 2 or 4");
         }
         if self.variables.is_empty() || self.variables.len() > MAX_VARIABLES {
             return problem("number of variables", &self.variables.len(), "use 1 to 1024");

@@ -15,7 +15,7 @@ use crate::{StoreError, Totals, arrays::ArrayKind, files, shard::OpenShard};
 
 /// The folder of the journal.
 pub(crate) const FOLDER: &str = ".partial";
-const MAGIC: &[u8; 8] = b"CXLSTAT2";
+const MAGIC: &[u8; 8] = b"CXLSTAT3";
 
 /// The state's description; the numbers it counts follow it in the file, in the same order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,6 +34,26 @@ pub(crate) struct StateSummary {
     pub num_digests: u64,
     pub digests_crc: u32,
     pub windows: Vec<WindowSummary>,
+    /// In the order of `Header::each_time_level`.
+    pub statistics: Vec<StatisticsSummary>,
+    pub kept: Vec<KeptSummary>,
+}
+
+/// The open rows of one level of the time tree of one variable; the fields of all nodes follow for each.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StatisticsSummary {
+    /// Chunks below this one are complete.
+    pub num_chunks_closed: u32,
+    pub rows: Vec<u32>,
+}
+
+/// A file that the encoder keeps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct KeptSummary {
+    pub name: String,
+    /// Which of all files that were made.
+    pub number: u64,
+    pub len: u64,
 }
 
 /// The open shards of one (variable, level, window), in the order of `Header::each_window`.

@@ -66,7 +66,11 @@ impl StoreWriter {
         fs::create_dir_all(&journal).map_err(StoreError::io(&journal, "create"))?;
         let num_steps = header.num_steps();
         let mut writer = Self::fresh(path, header)?;
-        writer.num_steps_put = num_steps;
+        (writer.num_steps_put, writer.num_steps_committed) = (num_steps, num_steps);
+        for (variable, time_level) in writer.header.each_time_level() {
+            writer.statistics[usize::from(variable)][usize::from(time_level)].num_chunks_closed =
+                writer.header.num_statistics_chunks(time_level);
+        }
         writer.covered.iter_mut().flatten().flatten().for_each(|covered| *covered = num_steps);
         Ok((writer, num_steps))
     }
@@ -112,6 +116,8 @@ impl StoreWriter {
             covered.iter_mut().zip(stored).for_each(|(to, from)| *to = u32::from_le_bytes(*from));
         }
         writer.restore_windows(summary, &mut numbers)?;
+        writer.restore_statistics(summary, &mut numbers)?;
+        writer.restore_kept(&summary.kept)?;
         writer.remove_leftovers()?;
         writer.write_header()?;
         let next = writer.covered.iter().flatten().flatten().copied().min().unwrap_or(0);
@@ -200,10 +206,12 @@ impl StoreWriter {
             let open = window.shards.keys().map(|&(kind, shard)| self.shard_id(*key, kind, shard));
             kept.extend(open.map(|id| self.header.shard_file(&id).replace('/', "!")));
         }
+        kept.extend(self.kept.names_on_disk());
         let journal = self.root.join(journal::FOLDER);
         for name in files::names_in(&journal)?.iter().filter(|name| !kept.contains(name)) {
             files::remove_file(&journal.join(name))?;
         }
+        self.remove_leftover_statistics()?;
         let keys: Vec<(u16, u8, u32)> = self.windows.keys().copied().collect();
         keys.into_iter().try_for_each(|key| self.remove_leftovers_of(key))
     }

@@ -81,27 +81,28 @@ impl SpanChunk {
     }
 
     pub fn encode(&self, order: SpanOrder, zstd_level: i32) -> std::io::Result<Vec<u8>> {
-        let mut bytes = Vec::with_capacity(self.num_bytes());
-        let mut push = |value: &f64| bytes.extend_from_slice(&value.to_le_bytes());
         match order {
-            SpanOrder::BySpan => self.fields.iter().flatten().for_each(push),
-            SpanOrder::ByField => {
-                (0..NUM_FIELDS).for_each(|field| self.fields.iter().for_each(|span| push(&span[field])));
+            SpanOrder::BySpan => {
+                let bytes: Vec<u8> = self.fields.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+                chunk::encode_once(&bytes, zstd_level)
             }
+            SpanOrder::ByField => chunk::encode_by_field(&self.fields, zstd_level),
         }
-        chunk::encode_once(&bytes, zstd_level)
     }
 
     pub fn decode(order: SpanOrder, num_rows: u32, num_nodes: usize, stored: &[u8]) -> Result<Self, String> {
-        let bytes = chunk::decode(stored, Self::size(num_rows, num_nodes))?;
-        let (values, _) = bytes.as_chunks();
-        let value = |at: usize| f64::from_le_bytes(values[at]);
-        let num_spans = values.len() / NUM_FIELDS;
-        let span = |span: usize| match order {
-            SpanOrder::BySpan => std::array::from_fn(|field| value(span * NUM_FIELDS + field)),
-            SpanOrder::ByField => std::array::from_fn(|field| value(field * num_spans + span)),
+        let num_spans = num_rows as usize * num_nodes;
+        let fields = match order {
+            SpanOrder::BySpan => {
+                let bytes = chunk::decode(stored, Self::size(num_rows, num_nodes))?;
+                let (values, _) = bytes.as_chunks();
+                let value = |at: usize| f64::from_le_bytes(values[at]);
+                let span = |span: usize| std::array::from_fn(|field| value(span * NUM_FIELDS + field));
+                (0..num_spans).map(span).collect()
+            }
+            SpanOrder::ByField => chunk::decode_by_field(stored, num_spans)?,
         };
-        Ok(Self { num_nodes, fields: (0..num_spans).map(span).collect() })
+        Ok(Self { num_nodes, fields })
     }
 }
 

@@ -24,11 +24,14 @@ use crate::{
     layout,
     shard::ShardFile,
     spans::{SpanChunk, SpanContext, record_of},
+    statistics::{Fields, StatisticsChunkId},
     writer::nodes_file,
 };
 
 /// Bytes of spans and of shard indexes that a store keeps, each.
 const CACHE_BYTES: usize = 64 << 20;
+/// Bytes of statistics that it keeps: a row of every time level, of up to 30,000 nodes and ten levels.
+const STATISTICS_CACHE_BYTES: usize = 16 << 20;
 /// What remembering that something is absent may take.
 const ABSENT_BYTES: usize = 64;
 /// Files that a store keeps open.
@@ -50,7 +53,8 @@ pub struct Store {
     /// Whether there is a folder of spans of a variable, level and window length.
     span_folders: ByteCache<(u16, u8, u32), bool>,
     shards: ByteCache<ShardId, ShardFile>,
-    /// Bytes of shards and spans read so far.
+    pub(crate) statistics: ByteCache<StatisticsChunkId, Vec<Fields>>,
+    /// Bytes of shards, spans and statistics read so far.
     bytes_read: AtomicU64,
 }
 
@@ -74,6 +78,7 @@ impl Store {
             spans: ByteCache::new(CACHE_BYTES, usize::MAX),
             span_folders: ByteCache::new(CACHE_BYTES, usize::MAX),
             shards: ByteCache::new(CACHE_BYTES, MAX_OPEN_FILES),
+            statistics: ByteCache::new(STATISTICS_CACHE_BYTES, usize::MAX),
             bytes_read: AtomicU64::new(0),
         })
     }
@@ -103,9 +108,13 @@ impl Store {
         self.header.num_steps_finished == self.header.num_steps()
     }
 
-    /// Bytes of payloads, masks, shard indexes and spans that were read since the store was opened.
+    /// Bytes of payloads, masks, shard indexes, spans and statistics that were read since the store was opened.
     pub fn bytes_read(&self) -> u64 {
         self.bytes_read.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn count_read(&self, num_bytes: u64) {
+        self.bytes_read.fetch_add(num_bytes, Ordering::Relaxed);
     }
 
     /// Bytes of all files of the store.
@@ -345,7 +354,7 @@ impl Store {
         }))
     }
 
-    fn check(&self, variable: usize, level: u8) -> Result<(), StoreError> {
+    pub(crate) fn check(&self, variable: usize, level: u8) -> Result<(), StoreError> {
         if variable >= self.header.variables.len() {
             let remedy = format!("the store has {}", self.header.variables.len());
             return Err(StoreError::invalid("variable", variable, remedy));

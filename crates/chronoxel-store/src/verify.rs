@@ -185,7 +185,10 @@ fn data_folders(header: &Header) -> HashMap<String, u32> {
         let kinds = header.data_kinds(key).into_iter();
         kinds.map(move |kind| (header.data_folder(key, kind), header.num_shards(key.2)))
     };
-    header.each_window().flat_map(of_window).collect()
+    let of_time_level = |(variable, time_level): (u16, u8)| {
+        (header.statistics_folder(variable, time_level), header.num_statistics_chunks(time_level))
+    };
+    header.each_window().flat_map(of_window).chain(header.each_time_level().map(of_time_level)).collect()
 }
 
 /// Whether a file is a shard or a chunk of spans of one of these folders.

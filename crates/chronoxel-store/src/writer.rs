@@ -22,9 +22,11 @@ use crate::{
     files,
     header::Header,
     journal,
+    kept::KeptFiles,
     put::Put,
     shard::{OpenShard, ShardFile},
     spans::OpenSpans,
+    statistics_write::OpenStatistics,
 };
 
 /// Writes one store; see the crate's documentation for the order of calls.
@@ -44,6 +46,9 @@ pub struct StoreWriter {
     pub(crate) covered: Vec<Vec<Vec<u32>>>,
     /// In the order of `Header::each_window`.
     pub(crate) windows: BTreeMap<(u16, u8, u32), OpenWindow>,
+    /// `[variable][time level]`; empty where the store has no time tree.
+    pub(crate) statistics: Vec<Vec<OpenStatistics>>,
+    pub(crate) kept: KeptFiles,
     pub(crate) digests: DigestTable,
     /// Digests since the last commit.
     pub(crate) new_digests: Vec<u8>,
@@ -94,7 +99,7 @@ impl StoreWriter {
             fs::write(&file, nodes).map_err(StoreError::io(&file, "write"))?;
         }
         let mut writer = Self::fresh(path, header)?;
-        writer.write_state()?;
+        writer.write_state(Vec::new())?;
         writer.write_header()?;
         Ok(writer)
     }
@@ -110,6 +115,9 @@ impl StoreWriter {
         let per_level = || header.levels.iter().map(|level| vec![0; level.num_nodes]).collect();
         let covered = header.variables.iter().map(|_| per_level()).collect();
         let windows = header.each_window().map(|key| (key, OpenWindow::default())).collect();
+        let per_time_level: Vec<OpenStatistics> =
+            header.time_levels().map(|_| OpenStatistics::default()).collect();
+        let statistics = vec![per_time_level; header.variables.len()];
         let description_crc = crc32c::crc32c(header.to_text()?.as_bytes());
         Ok(Self {
             root: path.to_owned(),
@@ -119,6 +127,8 @@ impl StoreWriter {
             num_steps_committed: 0,
             covered,
             windows,
+            statistics,
+            kept: KeptFiles::default(),
             digests: DigestTable::new(MAX_DIGESTS),
             new_digests: Vec::new(),
             num_digests: 0,
@@ -136,6 +146,11 @@ impl StoreWriter {
     /// The header as it stands.
     pub fn header(&self) -> &Header {
         &self.header
+    }
+
+    /// Steps of the last commit: what a resume from the journal as it stands goes on after.
+    pub fn steps_committed(&self) -> u32 {
+        self.num_steps_committed
     }
 
     /// The step up to which spans of a node were put; its next span starts there.
@@ -237,7 +252,7 @@ impl StoreWriter {
         Ok(Some(partial))
     }
 
-    fn begin(&mut self) -> Result<(), StoreError> {
+    pub(crate) fn begin(&mut self) -> Result<(), StoreError> {
         match std::mem::replace(&mut self.failed, true) {
             false => Ok(()),
             true => Err(StoreError::invalid("writer", "failed", "abandon it, and resume the store")),

@@ -180,6 +180,7 @@ fn case(random: &mut Random) -> Case {
         tree: tree(random, &grid, &layout),
         variables: variables.collect(),
         zstd_level: 1,
+        time_tree: None,
         encoder: serde_json::Value::Null,
     };
     // Spans may come one by one, or all those of a window at its end.

@@ -34,6 +34,7 @@ pub fn description(dims: [usize; 3], num_steps: usize) -> StoreDescription {
         tree: Octree::full(&levels_of(&grid, &layout)),
         variables: vec![variable("speed", SampleType::F32), variable("an odd/name", SampleType::U8)],
         zstd_level: 1,
+        time_tree: None,
         encoder: serde_json::json!({ "codec": "raw", "z_crc32c": "deadbeef" }),
     }
 }
