@@ -1,5 +1,7 @@
 //! Time of the colour metrics: the approximate ones for 1,000 nodes that fill all 256 entries, and the reference ones per voxel and step.
 
+#![allow(missing_docs, reason = "criterion's macros make public items")]
+
 use chronoxel_core::{
     BrickColors, ColorMap, ColorSpace, ColorTable, NodeFacts, NodeStatistics, ResolvedTransfer,
     TransferFunction, VoxelColors, approximate_spatial, approximate_temporal,

@@ -3,7 +3,7 @@
 use crate::{NodeStatistics, ResolvedTransfer};
 
 use super::table::{ColorTable, LANES};
-use super::{ColorSpace, distance, ratio};
+use super::{ColorSpace, ratio};
 
 /// What the approximate spatial metric says of a node.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,10 +73,10 @@ impl Population {
         let mut shares = vec![0.0; (last + 1).next_multiple_of(LANES) - start];
         let mut from_peak = start as f64 - peak;
         for group in shares.as_chunks_mut::<LANES>().0 {
-            for (lane, share) in group.iter_mut().enumerate() {
+            *group = exp_of_negative(std::array::from_fn(|lane| {
                 let j = from_peak + lane as f64;
-                *share = exp_of_negative(-(j * (j + twice_off)) * narrowness);
-            }
+                -(j * (j + twice_off)) * narrowness
+            }));
             from_peak += LANES as f64;
         }
         shares[..first - start].fill(0.0);
@@ -88,13 +88,20 @@ impl Population {
         of_entries[self.start..][..self.shares.len()].as_chunks().0
     }
 
+    /// p_tot (eq. 15): at least nearly 1, the share of the entry nearest the mean sample.
+    fn total(&self) -> f64 {
+        let mut sums = [0.0; LANES];
+        for p in self.shares.as_chunks::<LANES>().0 {
+            (0..LANES).for_each(|lane| sums[lane] += p[lane]);
+        }
+        sums.iter().sum()
+    }
+
     /// Sum over the entries of p(j) times a value.
     fn sum(&self, of_entries: &[f64]) -> f64 {
         let mut sums = [0.0; LANES];
         for (p, x) in self.shares.as_chunks::<LANES>().0.iter().zip(self.groups(of_entries)) {
-            for lane in 0..LANES {
-                sums[lane] += p[lane] * x[lane];
-            }
+            (0..LANES).for_each(|lane| sums[lane] += p[lane] * x[lane]);
         }
         sums.iter().sum()
     }
@@ -102,12 +109,17 @@ impl Population {
     /// Sum over the entries of p(j) times the distance from a colour (eq. 18): after the mean is known, so that nothing cancels.
     fn sum_of_distances(&self, table: &ColorTable, color: [f64; 3], alpha: f64) -> f64 {
         let opacity = self.groups(&table.opacity);
-        let [x, y, z] = table.coordinates().each_ref().map(|values| self.groups(values));
+        let coordinates = table.coordinates().each_ref().map(|values| self.groups(values));
         let mut sums = [0.0; LANES];
-        for (i, p) in self.shares.as_chunks::<LANES>().0.iter().enumerate() {
+        for ((i, p), a) in self.shares.as_chunks::<LANES>().0.iter().enumerate().zip(opacity) {
+            let mut apart = [0.0; LANES];
+            for (of_entries, mean) in coordinates.iter().zip(color) {
+                let x = of_entries[i];
+                (0..LANES).for_each(|lane| apart[lane] += (x[lane] - mean) * (x[lane] - mean));
+            }
             for lane in 0..LANES {
-                let (a, c) = (opacity[i][lane], [x[i][lane], y[i][lane], z[i][lane]]);
-                sums[lane] += p[lane] * distance(c, a, color, alpha);
+                let alpha_apart = a[lane] - alpha;
+                sums[lane] += p[lane] * (a[lane] * apart[lane] + alpha_apart * alpha_apart);
             }
         }
         sums.iter().sum()
@@ -115,8 +127,7 @@ impl Population {
 }
 
 fn estimate(table: &ColorTable, population: &Population) -> ColorEstimate {
-    // At least nearly 1, the share of the entry nearest the mean sample.
-    let total: f64 = population.shares.iter().sum();
+    let total = population.total();
     let mean = |of_entries: &Vec<f64>| population.sum(of_entries) / total;
     let alpha = mean(&table.opacity);
     let color = table.coordinates().each_ref().map(mean);
@@ -136,7 +147,7 @@ const LOWEST_EXPONENT: f64 = -600.0;
 /// The Taylor polynomial of degree 11 over ±ln 2 / 2, scaled by a power of two: plain arithmetic without branches, which compilers turn into
 /// vector instructions.
 #[inline]
-fn exp_of_negative(x: f64) -> f64 {
+fn exp_of_negative(x: [f64; LANES]) -> [f64; LANES] {
     const LN_2_HIGH: f64 = 0.693_147_180_369_123_8;
     const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
     /// 1.5 · 2^52: what is added to it is rounded to a whole number, which its lowest bits then are.
@@ -155,14 +166,18 @@ fn exp_of_negative(x: f64) -> f64 {
         1.0,
         1.0,
     ];
-    let inside = if x > LOWEST_EXPONENT { x } else { LOWEST_EXPONENT };
-    let rounded = inside * std::f64::consts::LOG2_E + ROUNDER;
-    let whole = rounded - ROUNDER;
-    let rest = (inside - whole * LN_2_HIGH) - whole * LN_2_LOW;
-    let mut polynomial = INVERSE_FACTORIALS[0];
+    let inside = x.map(|x| if x > LOWEST_EXPONENT { x } else { LOWEST_EXPONENT });
+    let rounded = inside.map(|x| x * std::f64::consts::LOG2_E + ROUNDER);
+    let rest: [f64; LANES] = std::array::from_fn(|lane| {
+        let whole = rounded[lane] - ROUNDER;
+        (inside[lane] - whole * LN_2_HIGH) - whole * LN_2_LOW
+    });
+    let mut polynomial = [INVERSE_FACTORIALS[0]; LANES];
     for c in &INVERSE_FACTORIALS[1..] {
-        polynomial = polynomial * rest + c;
+        (0..LANES).for_each(|lane| polynomial[lane] = polynomial[lane] * rest[lane] + c);
     }
-    let power_of_two = f64::from_bits((rounded.to_bits() << 52).wrapping_add(1.0f64.to_bits()));
-    if x < LOWEST_EXPONENT { 0.0 } else { polynomial * power_of_two }
+    let scaled: [f64; LANES] = std::array::from_fn(|lane| {
+        polynomial[lane] * f64::from_bits((rounded[lane].to_bits() << 52).wrapping_add(1.0f64.to_bits()))
+    });
+    std::array::from_fn(|lane| if x[lane] < LOWEST_EXPONENT { 0.0 } else { scaled[lane] })
 }
