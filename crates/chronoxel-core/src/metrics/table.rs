@@ -5,7 +5,7 @@ use crate::ResolvedTransfer;
 use super::{ColorSpace, distance};
 
 /// Entries are padded to a multiple of this, so that sums run over whole groups.
-pub(super) const LANES: usize = 4;
+pub(super) const LANES: usize = 8;
 
 /// A transfer function in entries of equal width over the range of a variable, each with the colour at its centre.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,7 +93,12 @@ impl ColorTable {
     /// Place of a value, in entries: the centre of entry `j` is at `j`.
     pub(super) fn position(&self, value: f64) -> f64 {
         // Halves, since a difference may overflow.
-        (0.5 * value - 0.5 * self.low) / (0.5 * self.width) - 0.5
+        ((0.5 * value - 0.5 * self.low) / (0.5 * self.width) - 0.5).clamp(-1e15, 1e15)
+    }
+
+    /// A difference of values, in entries.
+    pub(super) fn in_entries(&self, length: f64) -> f64 {
+        length / self.width
     }
 
     /// The entry that holds a value.
