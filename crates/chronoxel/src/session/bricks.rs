@@ -102,12 +102,21 @@ impl Session {
         items.par_iter().zip(records).map(draw).collect()
     }
 
-    /// How many of the next items fit a portion of the memory budget; at least one.
-    pub(super) fn portion_len(&self, items: &[DrawItem]) -> usize {
+    /// What makes the brick of an item the same as another; `None` where it has no data.
+    pub(super) fn brick_key(&mut self, item: &DrawItem) -> Result<Option<BrickKey>, StoreError> {
+        let tree = Arc::clone(&self.tree);
+        let record = self.record(&tree, item.node, item.steps.start)?;
+        Ok(BrickKey::new(item.node.level, &record, item.steps.start))
+    }
+
+    /// How many of the next parts of a picture fit a portion of the memory budget; at least one.
+    ///
+    /// * `num_payloads`: bricks to decode, of each part
+    pub(super) fn num_in_portion(&self, num_payloads: impl Iterator<Item = usize>) -> usize {
         let brick_bytes = PreparedBrick::estimated_bytes(&self.store.header().bricks);
         let mut left = self.portion_bytes;
-        let fits = items.iter().take_while(|item| {
-            let need = if item.how == How::Payload { brick_bytes } else { 0 };
+        let fits = num_payloads.take_while(|num| {
+            let need = num * brick_bytes;
             let fits = need <= left;
             left = left.saturating_sub(need);
             fits

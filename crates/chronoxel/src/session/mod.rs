@@ -5,6 +5,7 @@
 //! that a volume of any size can be drawn at full resolution.
 
 mod bricks;
+mod images;
 mod reference;
 mod select;
 
@@ -18,14 +19,15 @@ use chronoxel_core::{
 };
 use chronoxel_render::{CpuOptions, Frame, PreparedBrick, RenderStats, Scene};
 use chronoxel_store::Store;
-use chronoxel_stream::{Shares, Tolerances};
+use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::{BrickKey, PayloadKey};
+use images::Images;
 use select::Colors;
 pub use select::{CoherenceView, Metric};
 
 /// What a picture shows, but for the step.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct View {
     /// From where.
     pub camera: Camera,
@@ -86,6 +88,8 @@ pub struct BrickCounts {
     pub skipped: usize,
     /// Drawn as one value.
     pub constant: usize,
+    /// Composited from partial images that were kept.
+    pub composited: usize,
     /// Drawn from memory.
     pub reused: usize,
     /// Read and decoded for this picture.
@@ -95,7 +99,7 @@ pub struct BrickCounts {
 impl BrickCounts {
     /// Bricks that were drawn.
     pub fn drawn(&self) -> usize {
-        self.constant + self.reused + self.new
+        self.constant + self.composited + self.reused + self.new
     }
 }
 
@@ -132,6 +136,7 @@ pub struct Session {
     spans: ByteLru<(u8, u32), Spans>,
     statistics: ByteLru<TimeNode, Arc<Vec<NodeStatistics>>>,
     colors: Colors,
+    images: Images,
     portion_bytes: usize,
     memory_bytes: u64,
 }
@@ -174,9 +179,22 @@ impl Session {
             spans: ByteLru::new(share(SPANS_SHARE)),
             statistics: ByteLru::new(share(SPANS_SHARE)),
             colors: Colors::default(),
+            images: Images::new(0),
             portion_bytes: share(PORTION_SHARE),
             memory_bytes,
         })
+    }
+
+    /// Keeps partial images of what does not change while the view stands still, up to so many bytes; none are kept without.
+    ///
+    /// A picture that is composited from them differs from one that is drawn by less than a level of 8 bits.
+    pub fn keep_images(&mut self, budget_bytes: u64) {
+        self.images = Images::new(usize::try_from(budget_bytes).unwrap_or(usize::MAX));
+    }
+
+    /// The most bytes that partial images took so far in this view.
+    pub fn image_bytes_peak(&self) -> usize {
+        self.images.peak_bytes()
     }
 
     /// The store.
@@ -264,20 +282,19 @@ impl Session {
         let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
 
         let scene = self.scene(view);
-        let mut frame = Frame::new(&scene, CpuOptions::default())?;
-        let mut bricks = BrickCounts::default();
-        let mut rest = &items[..];
-        while !rest.is_empty() {
-            let start = Instant::now();
-            let (portion, after) = rest.split_at(self.portion_len(rest));
-            rest = after;
-            let draws = match weight > 0.0 {
-                false => self.fetch(portion, &mut bricks, &mut faults)?,
-                true => self.fetch_between(portion, step, weight, &mut bricks)?,
-            };
-            fetch_ms += start.elapsed().as_secs_f64() * 1e3;
-            frame.draw(&draws)?;
+        let mut drawing = Drawing {
+            frame: Frame::new(&scene, CpuOptions::default())?,
+            bricks: BrickCounts::default(),
+            faults,
+            fetch_ms: 0.0,
+        };
+        if self.images.are_kept() && weight == 0.0 {
+            self.draw_parts(view, step, &items, &mut drawing)?;
+        } else {
+            self.draw_items(&items, step, weight, &mut drawing)?;
         }
+        let Drawing { frame, bricks, faults, .. } = drawing;
+        fetch_ms += drawing.fetch_ms;
         let (image, stats) = frame.finish();
         let RenderStats { num_samples, render_ms, .. } = stats;
         Ok(Picture {
@@ -292,7 +309,39 @@ impl Session {
     }
 }
 
+/// A picture being drawn.
+struct Drawing<'a> {
+    frame: Frame<'a>,
+    bricks: BrickCounts,
+    faults: Faults,
+    fetch_ms: f64,
+}
+
 impl Session {
+    /// Draws a part of a draw list, in portions that fit the memory.
+    fn draw_items(
+        &mut self,
+        items: &[DrawItem],
+        step: u32,
+        weight: f64,
+        drawing: &mut Drawing<'_>,
+    ) -> anyhow::Result<()> {
+        let mut rest = items;
+        while !rest.is_empty() {
+            let start = Instant::now();
+            let num_payloads = rest.iter().map(|item| usize::from(item.how == How::Payload));
+            let (portion, after) = rest.split_at(self.num_in_portion(num_payloads));
+            rest = after;
+            let draws = match weight > 0.0 {
+                false => self.fetch(portion, &mut drawing.bricks, &mut drawing.faults)?,
+                true => self.fetch_between(portion, step, weight, &mut drawing.bricks)?,
+            };
+            drawing.fetch_ms += start.elapsed().as_secs_f64() * 1e3;
+            drawing.frame.draw(&draws)?;
+        }
+        Ok(())
+    }
+
     fn scene(&self, view: &View) -> Scene {
         let header = self.store.header();
         Scene {
