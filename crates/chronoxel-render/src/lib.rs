@@ -9,7 +9,7 @@ pub mod prepared;
 pub mod reference;
 pub mod scene;
 
-pub use cpu::{CpuOptions, Frame, kernel_name, render, render_with};
+pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};

@@ -29,7 +29,7 @@ pub fn render_reference(scene: &Scene, field: &DenseField) -> Result<Image, Rend
 
 /// [`render_reference`], with what a draw list puts in place of samples: nothing, or a constant.
 ///
-/// * `bricks`: in any order; where none lies, and where one has samples, the field is drawn
+/// * `bricks`: in any order; where none lies, and where one has samples or a partial image, the field is drawn
 ///
 /// # Errors
 /// As [`render_reference`].
@@ -67,7 +67,7 @@ fn march(scene: &Scene, field: &DenseField, bricks: &[DrawBrick], ray: &Ray) -> 
             Some(DrawHow::Skip) => None,
             Some(DrawHow::Constant(value)) => unlit(scene.transfer.evaluate(*value)),
             Some(DrawHow::ConstantColor([r, g, b], opacity)) => unlit([*r, *g, *b, *opacity].map(f64::from)),
-            Some(DrawHow::Samples(_)) | None => sample(scene, field, voxel, ray),
+            Some(DrawHow::Samples(_) | DrawHow::Partial(_)) | None => sample(scene, field, voxel, ray),
         };
         let Some(([r, g, b, opacity], (scattered, highlight))) = seen else { continue };
         let alpha = compositing::correct_opacity(opacity, dt, scene.opacity_unit);

@@ -6,7 +6,7 @@ use chronoxel_core::{
     BrickLayout, Camera, Lighting, NodeId, Ray, ResolvedTransfer, UniformGrid, image::check_size,
 };
 
-use crate::{PreparedBrick, RenderError};
+use crate::{PartialImage, PreparedBrick, RenderError};
 
 /// Everything about a picture but the samples.
 ///
@@ -117,6 +117,9 @@ pub enum DrawHow {
     ConstantColor([f32; 3], f32),
     /// Samples.
     Samples(Arc<PreparedBrick>),
+    /// What was recorded of it, and of those that follow it, in an earlier picture of the same view; wherever the box
+    /// lies.
+    Partial(Arc<PartialImage>),
 }
 
 /// What it took to make a picture.
@@ -128,6 +131,8 @@ pub struct RenderStats {
     pub bricks_drawn: usize,
     /// Bricks crossed in closed form.
     pub bricks_constant: usize,
+    /// Partial images composited.
+    pub bricks_composited: usize,
     /// Bricks left out: absent, transparent, or outside the picture.
     pub bricks_skipped: usize,
     /// Wall-clock time.

@@ -6,6 +6,7 @@ use crate::prepared::BLOCK_EDGE;
 
 use super::lanes::{F8, I8, Lanes, Plain};
 use super::light::{LightJob, terms};
+use super::partial::PacketPixels;
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
 pub(super) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
@@ -25,10 +26,7 @@ pub(super) struct Packet {
     /// Length inside the grid, counted in samples of level 0, and the same rounded.
     pub length: F8,
     pub num_samples: F8,
-    /// Premultiplied red, green and blue.
-    pub color: [F8; 3],
-    /// One minus alpha.
-    pub transmittance: F8,
+    pub pixels: PacketPixels,
 }
 
 impl Packet {
@@ -39,8 +37,7 @@ impl Packet {
         inverse_step: [F8([1.0; 8]); 3],
         length: F8([0.0; 8]),
         num_samples: F8([0.0; 8]),
-        color: [F8([0.0; 8]); 3],
-        transmittance: F8([1.0; 8]),
+        pixels: PacketPixels::EMPTY,
     };
 }
 
@@ -499,12 +496,12 @@ unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(
     unsafe {
         let [first, end] = interval::<L>(region, packet);
         let least = L::splat(LEAST_TRANSMITTANCE);
-        let transmittance = L::load(&packet.transmittance);
+        let transmittance = L::load(&packet.pixels.transmittance);
         if L::bits(L::and(L::less(first, end), L::less(least, transmittance))) == 0 {
             return 0;
         }
         let rays = Rays::<L>::new(job, region.scale, packet);
-        let [r, g, b] = &packet.color;
+        let [r, g, b] = &packet.pixels.color;
         let mut gathered = Gathered::<L> { color: [L::load(r), L::load(g), L::load(b)], transmittance };
         let (mut k, mut limit) = (L::add(first, L::splat(0.5)), end);
         loop {
@@ -520,10 +517,10 @@ unsafe fn march<L: Lanes, const LIT: bool, const MASKED: bool>(
             (k, taken) = run::<L, LIT, MASKED>(job, &rays, k, limit, &mut gathered);
             num_samples += taken;
         }
-        for (color, gathered) in packet.color.iter_mut().zip(gathered.color) {
+        for (color, gathered) in packet.pixels.color.iter_mut().zip(gathered.color) {
             L::store(gathered, color);
         }
-        L::store(gathered.transmittance, &mut packet.transmittance);
+        L::store(gathered.transmittance, &mut packet.pixels.transmittance);
     }
     num_samples
 }

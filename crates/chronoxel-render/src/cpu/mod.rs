@@ -8,9 +8,11 @@ mod blocks;
 mod kernel;
 mod lanes;
 mod light;
+mod partial;
 mod table;
 mod tile;
 
+use std::ops::Range;
 use std::time::Instant;
 
 use chronoxel_core::{Image, UniformGrid};
@@ -23,8 +25,9 @@ use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, March};
 use light::LightJob;
+pub use partial::PartialImage;
 use table::Table;
-use tile::{RaySetup, Tile, Work};
+use tile::{PixelBlock, RaySetup, Tile, Work};
 
 /// How the ray caster goes about it; the picture is the same for every choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,38 +97,76 @@ impl<'a> Frame<'a> {
     /// # Errors
     /// [`RenderError`] if a brick does not fit the scene.
     pub fn draw(&mut self, bricks: &[DrawBrick]) -> Result<(), RenderError> {
+        self.draw_recording(bricks, &[]).map(drop)
+    }
+
+    /// [`Self::draw`], and keeps what runs of the bricks add to the picture, each as one partial image.
+    ///
+    /// A later picture of the same view may then composite the image in place of the run: as [`DrawHow::Partial`] of
+    /// its first brick, the others being [`DrawHow::Skip`]. Recorded or composited, a run gives the same bits, whatever
+    /// the tiles; drawn without being recorded, it gives others: by rounding, and by up to 1/512 where rays end, because
+    /// those of a run end as if nothing were in front.
+    ///
+    /// There is no image of a run that is hidden, in one tile or more, by what lies in front: it is not drawn there. A
+    /// run that shows nothing, or none of which lies in the picture, has an empty image.
+    ///
+    /// * `runs`: indices of consecutive bricks, at least one each; ascending, not overlapping
+    ///
+    /// # Errors
+    /// [`RenderError`] if a brick does not fit the scene, or the runs do not fit the list.
+    pub fn draw_recording(
+        &mut self,
+        bricks: &[DrawBrick],
+        runs: &[Range<usize>],
+    ) -> Result<Vec<Option<PartialImage>>, RenderError> {
         let start = Instant::now();
+        let run_of_each = run_of_each(bricks.len(), runs)?;
         let tables = Tables::new(self.scene, bricks)?;
         let mut jobs = Vec::with_capacity(bricks.len());
-        for brick in bricks {
+        for (brick, run) in bricks.iter().zip(run_of_each) {
             let job = Job::new(self.scene, brick, &tables, &self.options)?;
-            match &job {
+            match job.as_ref().map(|job| &job.work) {
                 None => self.stats.bricks_skipped += 1,
-                Some(Job { work: Work::March(..), .. }) => self.stats.bricks_drawn += 1,
-                Some(_) => self.stats.bricks_constant += 1,
+                Some(Work::March(..)) => self.stats.bricks_drawn += 1,
+                Some(Work::Constant(_)) => self.stats.bricks_constant += 1,
+                Some(Work::Partial(_)) => self.stats.bricks_composited += 1,
             }
-            jobs.extend(job);
+            jobs.extend(job.map(|job| Job { run, ..job }));
         }
-        let edge = self.options.tile_edge.clamp(8, 1024).next_multiple_of(8);
+        let drawn = self.draw_tiles(&jobs);
+        self.is_begun = true;
+        let mut recorded = Vec::with_capacity(drawn.len());
+        for block in drawn {
+            block.copy_to(&mut self.gathered);
+            self.stats.num_samples += block.num_samples;
+            recorded.push(block.recorded);
+        }
+        let images = partial::assemble(self.scene.size, runs.len(), &recorded);
+        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
+        Ok(images)
+    }
+
+    /// Draws jobs behind what was drawn before, tile by tile.
+    fn draw_tiles(&self, jobs: &[Job]) -> Vec<PixelBlock> {
+        let (edge, size) = (self.options.tile_edge.clamp(8, 1024).next_multiple_of(8), self.scene.size);
         let setup = RaySetup::new(self.scene);
-        let tiles = bin(&jobs, self.scene.size, edge);
         let gathered = self.is_begun.then_some(&self.gathered);
-        let drawn: Vec<_> = tiles
+        let job = |i: &u32| &jobs[*i as usize];
+        bin(jobs, size, edge)
             .into_par_iter()
             .with_max_len(1)
             .map_init(Tile::default, |tile, (corner, list)| {
-                tile.begin(&setup, corner, edge, gathered);
-                list.iter().for_each(|&i| tile.draw(&jobs[i as usize]));
+                let needs_rays = list.iter().any(|i| !matches!(job(i).work, Work::Partial(_)));
+                tile.begin(needs_rays.then_some(&setup), corner, size, edge, gathered);
+                for run in list.chunk_by(|a, b| job(a).run.is_some() && job(a).run == job(b).run) {
+                    match job(&run[0]).run {
+                        Some(number) => tile.record(number, run.iter().map(job)),
+                        None => tile.draw(job(&run[0])),
+                    }
+                }
                 tile.end()
             })
-            .collect();
-        self.is_begun = true;
-        for block in &drawn {
-            block.copy_to(&mut self.gathered);
-            self.stats.num_samples += block.num_samples;
-        }
-        self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
-        Ok(())
+            .collect()
     }
 
     /// The picture, and what it took.
@@ -134,6 +175,20 @@ impl<'a> Frame<'a> {
         image.pixels.iter_mut().for_each(|pixel| pixel[3] = 1.0 - pixel[3]);
         (image, self.stats)
     }
+}
+
+/// For each brick of a list, the number of the run that it is recorded with.
+fn run_of_each(num_bricks: usize, runs: &[Range<usize>]) -> Result<Vec<Option<u32>>, RenderError> {
+    let (mut of_each, mut end) = (vec![None; num_bricks], 0);
+    for (i, run) in runs.iter().enumerate() {
+        if run.start < end || run.is_empty() || run.end > num_bricks {
+            let remedy = "runs must have bricks, ascend, not overlap, and end within the list";
+            return Err(RenderError::invalid("run to record", format!("{run:?}"), remedy));
+        }
+        of_each[run.clone()].fill(Some(i as u32));
+        end = run.end;
+    }
+    Ok(of_each)
 }
 
 /// One table per level that is drawn: opacities are those of the level's step length.
@@ -165,6 +220,8 @@ struct Job<'a> {
     pixels: [[usize; 2]; 2],
     region: LevelBox,
     work: Work<'a>,
+    /// The number of the run that it is recorded with.
+    run: Option<u32>,
 }
 
 impl<'a> Job<'a> {
@@ -192,6 +249,7 @@ impl<'a> Job<'a> {
         let work = match &brick.how {
             DrawHow::Skip => None,
             DrawHow::Constant(value) => constant(scene.transfer.evaluate(*value)),
+            DrawHow::Partial(image) => return Self::of_image(scene, image),
             DrawHow::ConstantColor([r, g, b], opacity) => constant([*r, *g, *b, *opacity].map(f64::from)),
             DrawHow::Samples(prepared) => {
                 let table =
@@ -209,7 +267,20 @@ impl<'a> Job<'a> {
         else {
             return Ok(None);
         };
-        Ok(Some(Self { pixels, region: level_box, work }))
+        Ok(Some(Self { pixels, region: level_box, work, run: None }))
+    }
+
+    /// A partial image, which lies where it was recorded.
+    fn of_image(scene: &Scene, image: &'a PartialImage) -> Result<Option<Self>, RenderError> {
+        if image.size() != scene.size {
+            let [width, height] = image.size();
+            let remedy = "composite partial images only in the view that they were recorded in";
+            return Err(RenderError::invalid("partial image's picture", format!("{width}x{height}"), remedy));
+        }
+        let pixels = image.pixels();
+        let has_any = pixels.iter().all(|[from, to]| from < to);
+        let region = LevelBox { scale: 1.0, low: [f32::NEG_INFINITY; 3], high: [f32::INFINITY; 3] };
+        Ok(has_any.then_some(Self { pixels, region, work: Work::Partial(image), run: None }))
     }
 }
 

@@ -1,5 +1,7 @@
 //! A tile of the screen: its rays, and what they have gathered.
 
+use std::ops::Range;
+
 use chronoxel_core::{Image, PictureRays, Ray, compositing::accumulate_constant};
 
 use crate::Scene;
@@ -7,9 +9,7 @@ use crate::Scene;
 use super::Job;
 use super::kernel::{BrickJob, LEAST_TRANSMITTANCE, March, Packet, sample_interval};
 use super::lanes::F8;
-
-/// Columns and rows of pixels of a packet.
-const PACKET: [usize; 2] = [4, 2];
+use super::partial::{PACKET, PacketPixels, PartialImage, Recorded};
 
 /// What is done with a brick.
 pub(super) enum Work<'a> {
@@ -17,6 +17,8 @@ pub(super) enum Work<'a> {
     March(March, BrickJob<'a>, Option<Vec<f32>>),
     /// Crossed in closed form: premultiplied colour and alpha of one sample.
     Constant([f32; 4]),
+    /// Composited as it was recorded.
+    Partial(&'a PartialImage),
 }
 
 /// The rays of a square of pixels, on one thread after another square's.
@@ -26,6 +28,9 @@ pub(super) struct Tile {
     size: [usize; 2],
     packets_along: [usize; 2],
     packets: Vec<Packet>,
+    /// While a run is recorded: what was drawn before it.
+    front: Vec<PacketPixels>,
+    recorded: Recorded,
     num_samples: u64,
 }
 
@@ -34,24 +39,33 @@ pub(super) struct PixelBlock {
     corner: [usize; 2],
     width: usize,
     pixels: Vec<[f32; 4]>,
+    pub recorded: Recorded,
     pub num_samples: u64,
 }
 
 impl Tile {
     /// Sets up the rays of the pixels from `corner` on; those outside the picture have no samples.
     ///
+    /// * `setup`: absent where nothing will be sampled
     /// * `gathered`: what the pixels of the picture hold so far, transmittance in place of alpha, where they hold
     ///   anything
-    pub fn begin(&mut self, setup: &RaySetup, corner: [usize; 2], edge: usize, gathered: Option<&Image>) {
+    pub fn begin(
+        &mut self,
+        setup: Option<&RaySetup>,
+        corner: [usize; 2],
+        size: [usize; 2],
+        edge: usize,
+        gathered: Option<&Image>,
+    ) {
         self.corner = corner;
-        self.size = std::array::from_fn(|a| edge.min(setup.scene.size[a] - corner[a]));
+        self.size = std::array::from_fn(|a| edge.min(size[a] - corner[a]));
         self.packets_along = PACKET.map(|n| edge / n);
         self.num_samples = 0;
         self.packets.clear();
         let along = self.packets_along;
         self.packets.extend((0..along[0] * along[1]).map(|i| {
             let first = [i % along[0] * PACKET[0], i / along[0] * PACKET[1]];
-            setup.packet([corner[0] + first[0], corner[1] + first[1]])
+            setup.map_or(Packet::EMPTY, |setup| setup.packet([corner[0] + first[0], corner[1] + first[1]]))
         }));
         if let Some(gathered) = gathered {
             self.resume(gathered);
@@ -66,28 +80,110 @@ impl Tile {
             let row = &mut self.packets[y / PACKET[1] * self.packets_along[0]..];
             for (x, [r, g, b, transmittance]) in pixels.iter().copied().enumerate() {
                 let (packet, lane) = (&mut row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
-                packet.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
-                packet.transmittance.0[lane] = transmittance;
+                packet.pixels.color.iter_mut().zip([r, g, b]).for_each(|(color, c)| color.0[lane] = c);
+                packet.pixels.transmittance.0[lane] = transmittance;
             }
         }
     }
 
-    /// Puts a brick behind what was drawn before.
-    pub fn draw(&mut self, job: &Job) {
-        let range = |a: usize| {
+    /// Draws a run of bricks on its own, keeps that, and puts it behind what was drawn before; where what was drawn
+    /// before hides all of the run, notes that.
+    pub fn record<'a>(&mut self, run: u32, jobs: impl Iterator<Item = &'a Job<'a>> + Clone) {
+        let Some(is_seen) = self.sees_any(jobs.clone()) else { return };
+        if !is_seen {
+            self.recorded.push_hidden(run);
+            return;
+        }
+        self.front.clear();
+        let fresh = |packet: &mut Packet| std::mem::replace(&mut packet.pixels, PacketPixels::EMPTY);
+        self.front.extend(self.packets.iter_mut().map(fresh));
+        jobs.for_each(|job| self.draw(job));
+        for (i, (packet, front)) in self.packets.iter_mut().zip(&self.front).enumerate() {
+            let drawn = std::mem::replace(&mut packet.pixels, *front);
+            if drawn != PacketPixels::EMPTY {
+                let in_tile = [i % self.packets_along[0], i / self.packets_along[0]];
+                self.recorded.push(
+                    run,
+                    std::array::from_fn(|a| self.corner[a] / PACKET[a] + in_tile[a]),
+                    drawn,
+                );
+                packet.pixels.put_behind(&drawn);
+            }
+        }
+    }
+
+    /// Whether a ray that crosses one of the bricks has not ended in front of it; `None` where no ray crosses any.
+    fn sees_any<'a>(&self, jobs: impl Iterator<Item = &'a Job<'a>>) -> Option<bool> {
+        let mut is_crossed = false;
+        for job in jobs {
+            let [rows, columns] = self.packets_of(job);
+            let crossed: Box<dyn Iterator<Item = (usize, [bool; 8])>> = match &job.work {
+                Work::Partial(image) => {
+                    let of_image = self.packets_of_image(image, rows);
+                    Box::new(of_image.map(|(i, pixels)| (i, pixels.transmittance.0.map(|t| t < 1.0))))
+                }
+                Work::March(..) | Work::Constant(_) => Box::new(self.indices(rows, columns).map(|i| {
+                    let [first, end] = sample_interval(&job.region, &self.packets[i]);
+                    (i, std::array::from_fn(|lane| first.0[lane] < end.0[lane]))
+                })),
+            };
+            for (i, lanes) in crossed {
+                let transmittance = &self.packets[i].pixels.transmittance.0;
+                if lanes.iter().zip(transmittance).any(|(crossed, t)| *crossed && *t > LEAST_TRANSMITTANCE) {
+                    return Some(true);
+                }
+                is_crossed |= lanes.contains(&true);
+            }
+        }
+        is_crossed.then_some(false)
+    }
+
+    /// The rows and columns of packets that a brick may touch.
+    fn packets_of(&self, job: &Job) -> [Range<usize>; 2] {
+        [1, 0].map(|a| {
             let [from, to] = job.pixels[a].map(|p| p.saturating_sub(self.corner[a]));
             from / PACKET[a]..to.div_ceil(PACKET[a]).min(self.packets_along[a])
-        };
-        let (rows, columns) = (range(1), range(0));
+        })
+    }
+
+    /// Indices of the packets of some rows and columns.
+    fn indices(&self, rows: Range<usize>, columns: Range<usize>) -> impl Iterator<Item = usize> + use<> {
         let packets_along = self.packets_along[0];
-        let packets = rows.flat_map(|row| columns.clone().map(move |column| row * packets_along + column));
+        rows.flat_map(move |row| columns.clone().map(move |column| row * packets_along + column))
+    }
+
+    /// What a partial image has in some rows of packets, with the index of each packet in the tile.
+    fn packets_of_image<'i>(
+        &self,
+        image: &'i PartialImage,
+        rows: Range<usize>,
+    ) -> impl Iterator<Item = (usize, &'i PacketPixels)> + use<'i> {
+        let [first_column, first_row] = [0, 1].map(|a| self.corner[a] / PACKET[a]);
+        let packets_along = self.packets_along[0];
+        let columns = first_column..first_column + packets_along;
+        rows.flat_map(move |row| {
+            let in_row = image.packets_in(first_row + row, columns.clone());
+            in_row.map(move |(column, pixels)| (row * packets_along + column - first_column, pixels))
+        })
+    }
+
+    /// Puts a brick behind what was drawn before.
+    pub fn draw(&mut self, job: &Job) {
+        let [rows, columns] = self.packets_of(job);
         match &job.work {
+            Work::Partial(image) => {
+                for (i, pixels) in self.packets_of_image(image, rows) {
+                    self.packets[i].pixels.put_behind(pixels);
+                }
+            }
             Work::Constant(sample) => {
-                packets.for_each(|i| cross_constant(&job.region, *sample, &mut self.packets[i]));
+                for i in self.indices(rows, columns) {
+                    cross_constant(&job.region, *sample, &mut self.packets[i]);
+                }
             }
             Work::March(march, brick, blocks) => {
                 let brick = BrickJob { blocks: blocks.as_deref(), ..*brick };
-                for i in packets {
+                for i in self.indices(rows, columns) {
                     // SAFETY: `march_for` chose a kernel that this CPU has, and the brick's arrays have the sizes
                     // that `PreparedBrick::new` checked.
                     self.num_samples += unsafe { march(&brick, &job.region, &mut self.packets[i]) };
@@ -97,18 +193,19 @@ impl Tile {
     }
 
     /// The pixels that lie in the picture, transmittance in place of alpha.
-    pub fn end(&self) -> PixelBlock {
+    pub fn end(&mut self) -> PixelBlock {
         let [width, height] = self.size;
         let mut pixels = Vec::with_capacity(width * height);
         for y in 0..height {
             let row = &self.packets[y / PACKET[1] * self.packets_along[0]..];
             for x in 0..width {
                 let (packet, lane) = (&row[x / PACKET[0]], x % PACKET[0] + y % PACKET[1] * PACKET[0]);
-                let [r, g, b] = [&packet.color[0], &packet.color[1], &packet.color[2]].map(|c| c.0[lane]);
-                pixels.push([r, g, b, packet.transmittance.0[lane]]);
+                let [r, g, b] = [0, 1, 2].map(|c| packet.pixels.color[c].0[lane]);
+                pixels.push([r, g, b, packet.pixels.transmittance.0[lane]]);
             }
         }
-        PixelBlock { corner: self.corner, width, pixels, num_samples: self.num_samples }
+        let recorded = std::mem::take(&mut self.recorded);
+        PixelBlock { corner: self.corner, width, pixels, recorded, num_samples: self.num_samples }
     }
 }
 
@@ -167,8 +264,10 @@ impl<'a> RaySetup<'a> {
         }
         let (mut packet, zero) = (Packet::EMPTY, [0.0f32; 8]);
         let (mut length, mut rounded) = (zero, zero);
+        let size = self.scene.size;
         for lane in 0..8 {
-            let is_inside = exit[lane] > entry[lane];
+            let in_picture = first[0] + lane % PACKET[0] < size[0] && first[1] + lane / PACKET[0] < size[1];
+            let is_inside = in_picture && exit[lane] > entry[lane];
             let samples = if is_inside { (exit[lane] - entry[lane]) / self.dt } else { 0.0 };
             entry[lane] = if is_inside { entry[lane] } else { 0.0 };
             length[lane] = samples as f32;
@@ -200,15 +299,15 @@ impl<'a> RaySetup<'a> {
 fn cross_constant(region: &super::LevelBox, sample: [f32; 4], packet: &mut Packet) {
     let [first, end] = sample_interval(region, packet);
     for lane in 0..8 {
-        let transmittance = packet.transmittance.0[lane];
+        let transmittance = packet.pixels.transmittance.0[lane];
         let num_samples = end.0[lane] - first.0[lane];
         if num_samples <= 0.0 || transmittance <= LEAST_TRANSMITTANCE {
             continue;
         }
         let (weight, run_transmittance) = accumulate_constant(sample[3], num_samples);
-        for (color, c) in packet.color.iter_mut().zip(sample) {
+        for (color, c) in packet.pixels.color.iter_mut().zip(sample) {
             color.0[lane] += transmittance * weight * c;
         }
-        packet.transmittance.0[lane] = transmittance * run_transmittance;
+        packet.pixels.transmittance.0[lane] = transmittance * run_transmittance;
     }
 }
