@@ -94,7 +94,24 @@ pub struct Payload {
     pub stages: Vec<Stage>,
 }
 
+impl Payload {
+    /// The first step of the span that decodes to the same samples as another because the same entries are listed for both.
+    ///
+    /// * `step_in_span`: counted from the span's first
+    pub fn first_step_like(&self, step_in_span: u32) -> u32 {
+        let alike = |step: &u32| self.stages.iter().all(|stage| stage.row(*step) == stage.row(step_in_span));
+        (0..step_in_span).find(alike).unwrap_or(step_in_span)
+    }
+}
+
 impl Stage {
+    /// The entries that are listed for a step; none of a table that is the same for all, or beyond its rows.
+    fn row(&self, step_in_span: u32) -> Option<&[u16]> {
+        let Table::Listed { num_rows, entries, .. } = &self.table else { return None };
+        let num_entries = entries.len().checked_div(*num_rows)?;
+        entries.chunks_exact(num_entries.max(1)).nth(step_in_span.checked_shr(self.shift.into())? as usize)
+    }
+
     /// The class of the stage: what fixes the number of its bytes.
     pub fn class(&self) -> StageClass {
         let table = match &self.table {
@@ -176,5 +193,33 @@ impl Stage {
             Indices::U16(v) => Indices::U16(v.iter().map(|&i| new_index[usize::from(i)]).collect()),
         };
         Ok(Self { indices, table: Table::Listed { offset, scale, num_rows, entries: sorted }, ..self })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_with_the_same_entries_are_found() {
+        let listed = |entries: &[u16], shift| Stage {
+            indices: Indices::U8(vec![0, 1]),
+            table: Table::Listed {
+                offset: 0.0,
+                scale: 1.0,
+                num_rows: entries.len() / 2,
+                entries: entries.to_vec(),
+            },
+            shift,
+        };
+        let affine = Stage {
+            indices: Indices::U8(vec![0, 1]),
+            table: Table::Affine { offset: 0.0, scale: 1.0 },
+            shift: 0,
+        };
+        let payload = Payload { stages: vec![affine, listed(&[1, 2, 3, 4, 1, 2, 1, 2], 0)] };
+        assert_eq!([0, 1, 2, 3].map(|step| payload.first_step_like(step)), [0, 1, 0, 0]);
+        let two = Payload { stages: vec![listed(&[1, 2, 3, 4, 1, 2, 1, 2], 0), listed(&[5, 6, 7, 8], 1)] };
+        assert_eq!([0, 1, 2, 3].map(|step| two.first_step_like(step)), [0, 1, 2, 2]);
     }
 }

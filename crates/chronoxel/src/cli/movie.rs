@@ -11,6 +11,7 @@ use super::{
     view::{ViewArgs, parse_fps},
 };
 use crate::{
+    bytes::ByteSize,
     interrupt,
     movie::{self, Frame, MovieOptions},
     progress::{Counted, Progress},
@@ -42,6 +43,9 @@ pub struct MovieArgs {
     /// Turn about the vertical axis over the whole movie, in degrees
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = parse_finite)]
     orbit: f64,
+    /// Keep partial images, up to so many bytes, while the camera stands still: what does not change is not drawn again
+    #[arg(long, value_name = "SIZE", default_value = "0")]
+    image_cache: ByteSize,
     #[command(flatten)]
     view: ViewArgs,
 }
@@ -80,6 +84,7 @@ impl MovieArgs {
     pub fn make(&self, common: &Common) -> anyhow::Result<MovieReport> {
         let start = std::time::Instant::now();
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
+        session.keep_images(self.image_cache.0);
         let header = session.store().header().clone();
         let num_finished = header.num_steps_finished as usize;
         let steps = match self.steps {

@@ -14,6 +14,7 @@ use super::{
     view::{Switch, ViewArgs},
 };
 use crate::{
+    bytes::ByteSize,
     process::resource_usage,
     progress::{Counted, Progress},
     session::{Session, View},
@@ -24,6 +25,7 @@ use crate::{
 #[command(after_help = "Examples:
   chronoxel play run.cxl
   chronoxel play run.cxl --size 512x512 --frames 24 --steps 16 --orbit 360      a still step, turning
+  chronoxel play run.cxl --temporal-tolerance 0.02 --image-cache 256MiB
   chronoxel play run.cxl --lighting off --tf sparse --json --csv frames.csv")]
 pub struct PlayArgs {
     /// The store
@@ -43,6 +45,9 @@ pub struct PlayArgs {
     /// Draw the first frame once before the clock starts
     #[arg(long, value_name = "SWITCH", default_value = "on")]
     warm: Switch,
+    /// Keep partial images, up to so many bytes, while the camera stands still: what does not change is not drawn again
+    #[arg(long, value_name = "SIZE", default_value = "0")]
+    image_cache: ByteSize,
     /// Write one line per frame
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -59,6 +64,7 @@ struct FrameTime {
     cpu_ms: f64,
     samples: u64,
     new_bricks: usize,
+    composited_bricks: usize,
 }
 
 #[derive(Serialize)]
@@ -79,6 +85,9 @@ struct PlayReport {
     bytes_from_disk: u64,
     bytes_uploaded: u64,
     cache: CacheReport,
+    /// Boxes composited from partial images, per frame, and the most bytes that these took.
+    composited_per_frame: f64,
+    image_bytes_peak: usize,
     peak_rss_bytes: Option<u64>,
     gpu_bytes_peak: u64,
     mean_pixels_per_voxel: f64,
@@ -119,6 +128,7 @@ pub fn run(common: &Common, args: &PlayArgs) -> anyhow::Result<()> {
 impl PlayArgs {
     fn play(&self, common: &Common) -> anyhow::Result<PlayReport> {
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
+        session.keep_images(self.image_cache.0);
         let grid = session.store().header().grid;
         let num_finished = session.store().header().num_steps_finished as usize;
         let mut steps = match self.steps {
@@ -162,6 +172,7 @@ impl PlayArgs {
             bytes_from_disk: session.bytes_from_disk() - bytes_before,
             bytes_uploaded: 0,
             cache: CacheReport { hits: session.cache_counts().hits, misses: session.cache_counts().misses },
+            image_bytes_peak: session.image_bytes_peak(),
             peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
             gpu_bytes_peak: 0,
             mean_pixels_per_voxel: pixels_per_voxel * f64::from(1u32 << view.level),
@@ -184,6 +195,7 @@ fn timed_frame(session: &mut Session, view: &View, step: usize) -> anyhow::Resul
         cpu_ms: (cpu_secs() - cpu_start) * 1e3,
         samples: picture.samples,
         new_bricks: picture.bricks.new,
+        composited_bricks: picture.bricks.composited,
     };
     Ok((time, picture.warnings))
 }
@@ -201,12 +213,19 @@ fn pixels_per_voxel(camera: &Camera, grid: &UniformGrid, size: [usize; 2]) -> f6
 
 fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()> {
     let mut file = std::io::BufWriter::new(std::fs::File::create(path)?);
-    writeln!(file, "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks")?;
+    writeln!(file, "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks")?;
     for (number, f) in frames.iter().enumerate() {
         writeln!(
             file,
-            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{}",
-            f.step, f.frame_ms, f.fetch_ms, f.render_ms, f.cpu_ms, f.samples, f.new_bricks
+            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{}",
+            f.step,
+            f.frame_ms,
+            f.fetch_ms,
+            f.render_ms,
+            f.cpu_ms,
+            f.samples,
+            f.new_bricks,
+            f.composited_bricks
         )?;
     }
     file.flush()
@@ -252,11 +271,24 @@ impl PlayReport {
             bytes_from_disk: 0,
             bytes_uploaded: 0,
             cache: CacheReport { hits: 0, misses: 0 },
+            composited_per_frame: sum(|f| f.composited_bricks as f64) / frames.len() as f64,
+            image_bytes_peak: 0,
             peak_rss_bytes: None,
             gpu_bytes_peak: 0,
             mean_pixels_per_voxel: 0.0,
             size: [0; 2],
             warnings: Vec::new(),
+        }
+    }
+
+    fn images_text(&self) -> String {
+        match self.image_bytes_peak {
+            0 => String::new(),
+            bytes => format!(
+                "; partial images: {:.1} boxes per frame, {}",
+                self.composited_per_frame,
+                crate::bytes::ByteSize(bytes as u64)
+            ),
         }
     }
 
@@ -288,7 +320,7 @@ impl PlayReport {
             crate::bytes::ByteSize(self.bytes_from_disk),
             self.cache.hits,
             self.cache.misses
-        )
+        ) + &self.images_text()
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use chronoxel_stream::Shares;
 use clap::Args;
 use serde::Serialize;
 
@@ -22,6 +23,7 @@ use crate::{
   chronoxel render run.cxl --time 3.5 --tf sparse --colormap inferno --axes --colorbar -o picture.png
   chronoxel render run.cxl --time 3.72 --blend-steps -o between.png
   chronoxel render run.cxl --azimuth 120 --elevation 45 --zoom 2 --size 1920x1080 -o picture.png
+  chronoxel render run.cxl -t 12 --spatial-tolerance 0.05 --temporal-tolerance 0.02 -v -o quick.png
   chronoxel render run.cxl --tf function.json --background white --lighting off -o figure.png")]
 pub struct RenderArgs {
     /// The store
@@ -48,6 +50,7 @@ pub struct RenderReport {
     render_ms: f64,
     samples: u64,
     bricks: BrickReport,
+    samples_of_grid: ShareReport,
     opacity_unit: f64,
     size: [usize; 2],
     step: usize,
@@ -62,6 +65,7 @@ pub struct RenderReport {
 pub struct BrickReport {
     skipped: usize,
     constant: usize,
+    composited: usize,
     reused: usize,
     new: usize,
     drawn: usize,
@@ -69,8 +73,23 @@ pub struct BrickReport {
 
 impl From<BrickCounts> for BrickReport {
     fn from(counts: BrickCounts) -> Self {
-        let BrickCounts { skipped, constant, reused, new } = counts;
-        Self { skipped, constant, reused, new, drawn: counts.drawn() }
+        let BrickCounts { skipped, constant, composited, reused, new } = counts;
+        Self { skipped, constant, composited, reused, new, drawn: counts.drawn() }
+    }
+}
+
+/// Samples of the grid by how they are drawn, as printed.
+#[derive(Serialize)]
+pub struct ShareReport {
+    skipped: u64,
+    constant: u64,
+    reused: u64,
+    new: u64,
+}
+
+impl From<Shares> for ShareReport {
+    fn from(Shares { skipped, constant, reused, new }: Shares) -> Self {
+        Self { skipped, constant, reused, new }
     }
 }
 
@@ -117,6 +136,7 @@ impl RenderArgs {
             render_ms: picture.render_ms,
             samples: picture.samples,
             bricks: picture.bricks.into(),
+            samples_of_grid: picture.shares.into(),
             opacity_unit: view.opacity_unit,
             size: view.size,
             step: moment.step,

@@ -106,7 +106,15 @@ impl Session {
     pub(super) fn brick_key(&mut self, item: &DrawItem) -> Result<Option<BrickKey>, StoreError> {
         let tree = Arc::clone(&self.tree);
         let record = self.record(&tree, item.node, item.steps.start)?;
-        Ok(BrickKey::new(item.node.level, &record, item.steps.start))
+        Ok(self.key_at(item.node.level, &record, item.steps.start))
+    }
+
+    /// What makes a node's brick at a step the same as another: also as that of an earlier step of its span, where the payload is in memory
+    /// to tell.
+    fn key_at(&mut self, level: u8, record: &SpanRecord, step: u32) -> Option<BrickKey> {
+        let payload = PayloadKey::new(level, record).and_then(|key| self.payloads.get(&key));
+        let step = payload.map_or(step, |p| record.start + p.first_step_like(step - record.start));
+        BrickKey::new(level, record, step)
     }
 
     /// How many of the next parts of a picture fit a portion of the memory budget; at least one.
@@ -137,7 +145,7 @@ impl Session {
         for item in items.iter().filter(|item| item.how == How::Payload) {
             let step = item.steps.start;
             let record = self.record(&tree, item.node, step)?;
-            let Some(key) = BrickKey::new(item.node.level, &record, step) else { continue };
+            let Some(key) = self.key_at(item.node.level, &record, step) else { continue };
             match self.bricks.get(&key) {
                 Some(brick) => {
                     counts.reused += 1;
@@ -155,7 +163,8 @@ impl Session {
                     continue;
                 }
             };
-            self.bricks.insert(wanted.key, Arc::clone(&brick), brick.num_bytes());
+            let key = self.key_at(wanted.node.level, &wanted.record, wanted.step).unwrap_or(wanted.key);
+            self.bricks.insert(key, Arc::clone(&brick), brick.num_bytes());
             ready.insert(wanted.node, brick);
         }
         items
