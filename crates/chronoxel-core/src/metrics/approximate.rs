@@ -181,3 +181,24 @@ fn exp_of_negative(x: [f64; LANES]) -> [f64; LANES] {
     });
     std::array::from_fn(|lane| if x[lane] < LOWEST_EXPONENT { 0.0 } else { scaled[lane] })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_that_of_the_standard_library() {
+        for i in 0..100_000 {
+            let x = -f64::from(i) * 0.006 + f64::from(i % 7) * -1e-4;
+            let (found, expected) = (exp_of_negative([x; LANES])[3], x.exp());
+            assert!((found - expected).abs() <= 2e-14 * expected, "{x}: {found:e} {expected:e}");
+        }
+        let ends = [0.0, -0.0, -5e-324, -600.1, f64::MIN, f64::NEG_INFINITY, -1e-17, -600.0];
+        let [zero, negative_zero, tiny, below, lowest, infinite, small, last] = exp_of_negative(ends);
+        assert_eq!(
+            [zero, negative_zero, tiny, below, lowest, infinite, small],
+            [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        );
+        assert!(last > 2.6e-261 && last < 2.7e-261);
+    }
+}
