@@ -339,29 +339,53 @@ fn the_reference_errors_are_zero_exactly_where_nothing_differs() {
     assert_eq!(ColorSums::default().spatial_error(), 0.0);
 }
 
+/// Both metrics, of samples in [0, 1].
+fn both(name: &str, space: ColorSpace, samples: Vec<f64>) -> (ColorEstimate, ColorSums) {
+    let transfer = built_in(name, [0.0, 1.0]);
+    let n = samples.len() as f64;
+    let (min, max) =
+        (samples.iter().copied().fold(1.0, f64::min), samples.iter().copied().fold(0.0, f64::max));
+    let mean = samples.iter().sum::<f64>() / n;
+    let std = (samples.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    let table = ColorTable::new(&transfer, [0.0, 1.0], 256, space);
+    let found = approximate_spatial(&table, &transfer, &node(min, max, mean, std));
+    (found, sums_of(&transfer, space, &vec![samples])[0].1)
+}
+
 #[test]
 fn of_normal_populations_both_metrics_agree() {
     let mut random = Random(4);
-    let range = [0.0, 1.0];
-    for (name, mean, std) in
-        [("ramp", 0.5, 0.1), ("ramp", 0.3, 0.05), ("filled", 0.6, 0.12), ("filled", 0.8, 0.02)]
-    {
+    let populations =
+        [("ramp", 0.5, 0.15), ("ramp", 0.3, 0.05), ("filled", 0.6, 0.12), ("filled", 0.8, 0.02)];
+    for (name, mean, std) in populations.into_iter().chain([("sparse", 0.5, 0.15)]) {
         for space in SPACES {
-            let transfer = built_in(name, range);
-            let samples: Vec<f64> = (0..40_000).map(|_| mean + std * random.normal()).collect();
-            let samples: Vec<f64> = samples.into_iter().filter(|v| (0.0..=1.0).contains(v)).collect();
-            let n = samples.len() as f64;
-            let (min, max) =
-                (samples.iter().copied().fold(1.0, f64::min), samples.iter().copied().fold(0.0, f64::max));
-            let mean = samples.iter().sum::<f64>() / n;
-            let std = (samples.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
-            let table = ColorTable::new(&transfer, range, 256, space);
-            let found = approximate_spatial(&table, &transfer, &node(min, max, mean, std));
-            let reference = sums_of(&transfer, space, &vec![samples])[0].1;
+            let samples = (0..40_000).map(|_| mean + std * random.normal());
+            let (found, reference) = both(name, space, samples.filter(|v| (0.0..=1.0).contains(v)).collect());
             assert_close(found.error, reference.spatial_error(), 0.02, name);
             (0..4).for_each(|i| assert!((found.mean[i] - reference.mean()[i]).abs() < 0.01, "{name}"));
         }
     }
+}
+
+#[test]
+fn of_other_populations_the_metrics_differ_as_told() {
+    let mut random = Random(6);
+    let ratio = |name, samples: Vec<f64>| {
+        let (found, reference) = both(name, ColorSpace::Rgb, samples);
+        (found.error / reference.spatial_error(), found.mean[3] / reference.mean()[3])
+    };
+    let even: Vec<f64> = (0..30_000).map(|_| random.next()).collect();
+    for name in ["ramp", "filled", "sparse"] {
+        assert!((0.84..0.95).contains(&ratio(name, even.clone()).0));
+    }
+    let two: Vec<f64> = (0..1000).map(|i| 0.2 + 0.2 * f64::from(i % 2)).collect();
+    assert!((0.55..0.6).contains(&ratio("ramp", two.clone()).0));
+    let plume: Vec<f64> = (0..30_000).map(|i| if i % 100 == 0 { random.next() } else { 0.0 }).collect();
+    let (error, opacity) = ratio("ramp", plume);
+    assert!((0.12..0.18).contains(&error) && (6.0..11.0).contains(&opacity), "{error} {opacity}");
+    // Voxels on either side of what is visible.
+    let (found, reference) = both("sparse", ColorSpace::Rgb, (0..1000).map(|i| f64::from(i % 2)).collect());
+    assert!(found.error > 0.5 && reference.spatial_error() == 0.0);
 }
 
 #[test]
