@@ -37,7 +37,7 @@ pub use image8::Image8;
 pub use lighting::Lighting;
 pub use metrics::{
     BrickColors, ColorEstimate, ColorSpace, ColorSums, ColorTable, VoxelColors, approximate_spatial,
-    approximate_temporal,
+    approximate_temporal, has_one_color,
 };
 pub use octree::{LevelGeometry, NodeId, Octree};
 pub use samples::Samples;

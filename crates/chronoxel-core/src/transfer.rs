@@ -324,6 +324,35 @@ mod tests {
     }
 
     #[test]
+    fn constancy_is_exact() {
+        let tf = resolved(&[
+            (0.0, 0.5),
+            (1.0, 0.5),
+            (2.0, 0.7),
+            (3.0, 0.5),
+            (3.0, 0.9),
+            (3.0, 0.5),
+            (4.0, 0.5),
+            (5.0, 0.5),
+            (5.0, 0.6),
+        ]);
+        for range in [[-9.0, 1.0], [0.2, 0.7], [1.7, 1.7], [3.0, 4.999], [3.5, 4.5], [5.0, 9.0], [6.0, 7.0]] {
+            assert!(tf.is_constant_over(range), "{range:?}");
+        }
+        let varying =
+            [[-9.0, 1.0 + 1e-15], [1.2, 1.3], [1.0, 3.0], [2.999, 3.5], [4.5, 5.0], [4.5, 6.0], [-1.0, 9.0]];
+        for range in varying {
+            assert!(!tf.is_constant_over(range), "{range:?}");
+        }
+        let spike = resolved(&[(0.0, 0.5), (3.0, 0.5), (3.0, 0.9), (3.0, 0.5), (4.0, 0.5)]);
+        assert!(spike.is_constant_over([-1.0, 9.0]), "of three points at one x the second never shows");
+        assert!(!tf.is_constant_over([f64::NAN, 1.0]) && !tf.is_constant_over([0.0, f64::NAN]));
+        let colored = |color: [f32; 3]| TransferPoint { x: f64::from(color[0]), color, opacity: 0.5 };
+        let colored = TransferFunction::new(vec![colored([0.0; 3]), colored([1.0; 3])], TransferDomain::Data);
+        assert!(!colored.unwrap().resolve([0.0, 1.0]).unwrap().is_constant_over([0.1, 0.2]));
+    }
+
+    #[test]
     fn a_constant_variable_takes_the_lowest_colour() {
         let tf = TransferFunction::built_in("filled", ColorMap::Gray).unwrap().resolve([7.0, 7.0]).unwrap();
         assert!((tf.evaluate(7.0)[3] - 0.02).abs() < 1e-8);

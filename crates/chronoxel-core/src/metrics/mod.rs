@@ -7,13 +7,36 @@
 //! Whether an error is 0 is decided by comparing colours and by the facts of a node, never by a computed zero: an error of 0 says
 //! that nothing differs, and everywhere else it is at least [`f64::MIN_POSITIVE`]. What is transparent has one colour, and so
 //! has what is masked: both draw nothing.
+//!
+//! # Where the two differ
+//!
+//! The approximate spatial metric takes the samples of a node as normally distributed between their smallest and largest. Where they are, it is within
+//! 2 % of the reference; with the built-in functions over Turbo, in RGB:
+//!
+//! | samples | approximate / reference error | opacity of the mean |
+//! | --- | --- | --- |
+//! | normal, 3 deviations inside the range | 0.99 | same |
+//! | equally often everywhere | 0.85–0.94: too few near the ends | same; `sparse` a fifth less |
+//! | two values | 0.58 where they are near: it sees those between | same |
+//! | 99 % at the smallest value, the others anywhere above (a plume) | 0.15 (`ramp`) to 0.8 (`filled`) | `ramp` 8 times, `filled` 1.2 times |
+//!
+//! The last row is the worst: a few samples make the deviation wide, and half of the normal distribution lies below the smallest sample and is cut off, so
+//! that the mean moves up. Nodes partly in a plume are taken as more alike, and drawn as constants as more opaque, than they are. Smaller nodes help.
+//!
+//! The other way round, the reference looks at voxels and the approximation at entries between them: two voxels on either side of a
+//! visible range of values have the same look, and a reference error of 0, though what is interpolated between them is visible. [`has_one_color`]
+//! says what holds for every value between.
+//!
+//! The temporal metrics differ in scale. That of equation 20 is a property of the table: about the total change of colour over √(number of
+//! entries) for a smooth function, 0.03 to 0.11 for the built-in ones with 256 entries, so that e_act was 10 to 40 times smaller than e_rct for samples that waver, with
+//! `sparse` nearest. It ranks nodes under one function; tolerances of the two do not compare, and neither do those of e_act with other numbers of entries.
 
 mod approximate;
 mod reference;
 mod table;
 mod voxel_colors;
 
-pub use approximate::{ColorEstimate, approximate_spatial, approximate_temporal};
+pub use approximate::{ColorEstimate, approximate_spatial, approximate_temporal, has_one_color};
 pub use reference::{BrickColors, ColorSums};
 pub use table::ColorTable;
 pub use voxel_colors::VoxelColors;

@@ -19,11 +19,6 @@ struct Moments {
 }
 
 impl Moments {
-    /// Of one voxel.
-    fn of(color: VoxelColor) -> Self {
-        Self { alpha: color.alpha, color: color.coordinates, ..Self::default() }
-    }
-
     /// Of a voxel without data.
     const NO_DATA: Self = Self {
         alpha: f64::NAN,
@@ -167,27 +162,56 @@ impl ColorSums {
         let [r, g, b] = self.srgb;
         [r, g, b, self.moments.alpha].map(|c| c as f32)
     }
+}
 
-    /// Of one step.
-    fn of_step(voxels: &[Moments], srgb_sum: [f64; 3], colors: Colors) -> Self {
-        let with_data = || voxels.iter().filter(|voxel| !voxel.alpha.is_nan());
-        let count = with_data().count();
-        if count == 0 {
-            return Self { colors, ..Self::default() };
+/// Gathers the voxels of one step.
+#[derive(Default)]
+struct StepColors {
+    voxels: Vec<Moments>,
+    count: u64,
+    alpha: f64,
+    color: [f64; 3],
+    srgb: [f64; 3],
+    colors: Colors,
+}
+
+impl StepColors {
+    fn push(&mut self, color: VoxelColor) {
+        let VoxelColor { srgb, coordinates, alpha } = color;
+        self.count += 1;
+        self.alpha += alpha;
+        self.color = std::array::from_fn(|i| self.color[i] + coordinates[i]);
+        self.srgb = std::array::from_fn(|i| self.srgb[i] + srgb[i]);
+        self.colors = self.colors.merged(Colors::of(color));
+        self.voxels.push(Moments { alpha, color: coordinates, ..Moments::default() });
+    }
+
+    fn push_masked(&mut self) {
+        self.colors = self.colors.merged(Colors::TRANSPARENT);
+        self.voxels.push(Moments::NO_DATA);
+    }
+
+    fn sums(&self) -> ColorSums {
+        let colors = self.colors;
+        if self.count == 0 {
+            return ColorSums { colors, ..ColorSums::default() };
         }
-        let n = count as f64;
-        let alpha = with_data().map(|v| v.alpha).sum::<f64>() / n;
-        let color = [0, 1, 2].map(|i| with_data().map(|v| v.color[i]).sum::<f64>() / n);
-        let mut moments = Moments { alpha, color, ..Moments::default() };
-        for voxel in with_data() {
-            let weight = voxel.alpha / n;
-            moments.co_deviation =
-                std::array::from_fn(|i| moments.co_deviation[i] + weight * (voxel.color[i] - color[i]));
-            moments.squared_deviation += distance(voxel.color, voxel.alpha, color, alpha) / n;
+        let n = self.count as f64;
+        let (alpha, color) = (self.alpha / n, self.color.map(|sum| sum / n));
+        let (mut co_deviation, mut squared_deviation) = ([0.0; 3], 0.0);
+        for voxel in self.voxels.iter().filter(|voxel| !voxel.alpha.is_nan()) {
+            co_deviation =
+                std::array::from_fn(|i| co_deviation[i] + voxel.alpha * (voxel.color[i] - color[i]));
+            squared_deviation += distance(voxel.color, voxel.alpha, color, alpha);
         }
-        let count = count as u64;
-        let srgb = srgb_sum.map(|sum| sum / n);
-        Self { count, moments, srgb, colors, num_voxels: count, ..Self::default() }
+        let moments = Moments {
+            alpha,
+            color,
+            co_deviation: co_deviation.map(|sum| sum / n),
+            squared_deviation: squared_deviation / n,
+        };
+        let (count, srgb) = (self.count, self.srgb.map(|sum| sum / n));
+        ColorSums { count, moments, srgb, colors, num_voxels: count, ..ColorSums::default() }
     }
 }
 
@@ -274,22 +298,14 @@ impl BrickColors {
     }
 
     fn colored(&self, colors: &VoxelColors, samples: impl IntoIterator<Item = f64>) -> Carried {
-        let mut voxels = Vec::with_capacity(self.num_voxels);
-        let mut srgb_sum = [0.0; 3];
-        let mut seen = Colors::None;
+        let mut step = StepColors { voxels: Vec::with_capacity(self.num_voxels), ..StepColors::default() };
         for sample in samples {
-            if sample.is_nan() {
-                seen = seen.merged(Colors::TRANSPARENT);
-                voxels.push(Moments::NO_DATA);
-                continue;
+            match sample.is_nan() {
+                true => step.push_masked(),
+                false => step.push(colors.of(sample)),
             }
-            let color = colors.of(sample);
-            seen = seen.merged(Colors::of(color));
-            srgb_sum = std::array::from_fn(|i| srgb_sum[i] + color.srgb[i]);
-            voxels.push(Moments::of(color));
         }
-        assert_eq!(voxels.len(), self.num_voxels, "samples of the brick");
-        let sums = ColorSums::of_step(&voxels, srgb_sum, seen);
-        Carried { voxels, sums }
+        assert_eq!(step.voxels.len(), self.num_voxels, "samples of the brick");
+        Carried { sums: step.sums(), voxels: step.voxels }
     }
 }
