@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 
 use chronoxel_store::{Store, verify};
 
-use common::{description, write_store};
+use common::{description, with_time_tree, write_store};
 
 /// A small store in a folder of its own.
 fn store(folder: &Path) -> PathBuf {
     let path = folder.join("a.cxl");
-    write_store(&path, &description([9, 8, 8], 2));
+    write_store(&path, &with_time_tree(description([9, 8, 8], 2)));
     path
 }
 
