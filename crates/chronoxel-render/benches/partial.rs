@@ -11,8 +11,14 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 
 mod peers;
 
-fn record(scene: &Scene, list: &[DrawBrick], runs: &[Range<usize>]) -> Vec<Option<PartialImage>> {
-    let mut frame = Frame::new(scene, CpuOptions::default()).expect("the scene can be drawn");
+fn record(
+    scene: &Scene,
+    list: &[DrawBrick],
+    runs: &[Range<usize>],
+    record_hidden: bool,
+) -> Vec<Option<PartialImage>> {
+    let options = CpuOptions { record_hidden, ..CpuOptions::default() };
+    let mut frame = Frame::new(scene, options).expect("the scene can be drawn");
     frame.draw_recording(list, runs).expect("the runs fit")
 }
 
@@ -33,6 +39,8 @@ fn composited(
 }
 
 /// 128³ samples in 64 bricks, marched, recorded, and composited from runs of several lengths.
+///
+/// `hidden`: whether what is hidden in some tiles is recorded as a whole.
 fn frames(c: &mut Criterion) {
     let field = peers::ripples(128);
     for (function, lit) in [("sparse", false), ("filled", false), ("sparse", true), ("filled", true)] {
@@ -42,27 +50,51 @@ fn frames(c: &mut Criterion) {
         let mut group = c.benchmark_group(format!("{function}{}", if lit { " lit" } else { "" }));
         group.sample_size(10);
         group.bench_function("marched", |b| b.iter(|| render(&scene, &list).expect("a picture")));
-        for run_len in [1, 4, 16, 64] {
+        for (run_len, hidden) in [(1, false), (1, true), (4, true), (16, true), (64, false)] {
             let runs: Vec<_> = (0..64).step_by(run_len).map(|i| i..i + run_len).collect();
-            group.bench_function(format!("recorded by {run_len}"), |b| {
-                b.iter(|| black_box(record(&scene, &list, &runs)));
+            let name = format!("by {run_len}, hidden {hidden}");
+            group.bench_function(format!("recorded {name}"), |b| {
+                b.iter(|| black_box(record(&scene, &list, &runs, hidden)));
             });
-            let images = record(&scene, &list, &runs);
+            let images = record(&scene, &list, &runs, hidden);
             let num_bytes: usize = images.iter().flatten().map(PartialImage::num_bytes).sum();
             let from_images = composited(&list, &runs, images);
             let (_, stats) = render(&scene, &from_images).expect("a picture");
-            let name = format!(
-                "composited by {run_len}, {} images of {} KiB, {} bricks marched",
+            println!(
+                "{} images of {} KiB; {} bricks are marched beside them",
                 stats.bricks_composited,
                 num_bytes / 1024,
                 stats.bricks_drawn
             );
-            group.throughput(Throughput::Bytes(num_bytes as u64));
-            group.bench_function(name, |b| b.iter(|| render(&scene, &from_images).expect("a picture")));
+            group.bench_function(format!("composited {name}"), |b| {
+                b.iter(|| render(&scene, &from_images).expect("a picture"));
+            });
         }
         group.finish();
     }
 }
 
-criterion_group!(benches, frames);
+/// One partial image put behind itself again and again: the time per pixel beyond that of the frame.
+fn pixels(c: &mut Criterion) {
+    let field = peers::ripples(128);
+    let mut scene = peers::scene(&field, "filled", [0.0, 255.0], false);
+    scene.opacity_unit = 1e4;
+    let bricks = field.draw_list(&scene, 0, peers::Quantise::PerBrick);
+    let list = peers::turned(&mut scene, &bricks, 30.0);
+    let run = 0..list.len();
+    let image = record(&scene, &list, std::slice::from_ref(&run), false).swap_remove(0).expect("it is seen");
+    let num_pixels = image.num_bytes() as u64 / 16;
+    let how = DrawHow::Partial(Arc::new(image));
+    let mut group = c.benchmark_group("pixels composited");
+    for num_layers in [1, 101] {
+        let layers = vec![DrawBrick { how: how.clone(), ..list[0].clone() }; num_layers];
+        group.throughput(Throughput::Elements(num_pixels * num_layers as u64));
+        group.bench_function(format!("{num_layers} layers"), |b| {
+            b.iter(|| render(&scene, &layers).expect("a picture"));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, pixels, frames);
 criterion_main!(benches);

@@ -97,7 +97,8 @@ fn compare(name: &str, scene: &Scene, list: &[DrawBrick], runs: &[Range<usize>])
     let is_all = again.is_empty() && runs.iter().map(|run| run.len()).sum::<usize>() == list.len();
     let from_images = with_images(list, runs, images);
     for (tile_edge, plain) in [(16, false), (8, false), (40, true), (1024, false)] {
-        let (drawn, stats, _) = record(scene, &from_images, &again, CpuOptions { tile_edge, plain });
+        let (drawn, stats, _) =
+            record(scene, &from_images, &again, CpuOptions { tile_edge, plain, ..CpuOptions::default() });
         assert_identical(&format!("{name} tiles {tile_edge}"), &drawn, &recorded);
         assert!(stats.bricks_composited > 0 && stats.bricks_composited <= num_images, "{name}: {stats:?}");
         // Larger tiles are less often hidden as a whole.
@@ -145,8 +146,9 @@ fn runs_of_bricks() {
     for (name, scene) in scenes(&field) {
         let list = mixed_list(&scene, &field);
         assert_close(&format!("runs {name}"), &scene, &list, &[0..1, 1..6, 8..17, 20..list.len()]);
-        let whole = [0..list.len()];
-        assert_eq!(compare(&format!("whole {name}"), &scene, &list, &whole), 0.0, "{name}");
+        let whole = 0..list.len();
+        let max = compare(&format!("whole {name}"), &scene, &list, std::slice::from_ref(&whole));
+        assert_eq!(max, 0.0, "{name}");
     }
 }
 
@@ -210,7 +212,8 @@ fn threads_and_tiles() {
             assert_eq!(other_stats.num_samples, stats.num_samples);
         }
         // Nothing in front is opaque, so that the same is recorded with any tiles and instructions.
-        let (_, _, other_images) = with(2, CpuOptions { tile_edge: 24, plain: true });
+        let (_, _, other_images) =
+            with(2, CpuOptions { tile_edge: 24, plain: true, ..CpuOptions::default() });
         assert!(other_images == images, "tiles {name}");
     }
 }
@@ -238,6 +241,41 @@ fn what_is_hidden_is_neither_drawn_nor_recorded() {
         let (drawn, _, images) = record(&scene, &from_images, &again, options);
         assert_identical(&name, &drawn, &recorded);
         assert!(images.iter().all(Option::is_none), "{name}");
+    }
+}
+
+#[test]
+fn what_is_hidden_in_some_tiles_can_be_recorded_as_a_whole() {
+    let field = field();
+    for (name, scene) in scenes(&field) {
+        let mut list = field.draw_list(&scene, 0, Quantise::PerBrick);
+        list[0].how = DrawHow::ConstantColor([1.0; 3], 1.0);
+        let runs = each(list.len());
+        let options = CpuOptions { tile_edge: 8, ..CpuOptions::default() };
+        let (expected, _, some) = record(&scene, &list, &runs, options);
+        let whole = CpuOptions { record_hidden: true, ..options };
+        let (recorded, stats, all) = record(&scene, &list, &runs, whole);
+        assert_identical(&name, &recorded, &expected);
+        assert!(all.iter().flatten().count() > some.iter().flatten().count(), "{name}");
+        let mut num_samples = 0;
+        for (brick, image) in list.iter().zip(&all) {
+            let run = 0..1;
+            let (_, stats, alone) =
+                record(&scene, std::slice::from_ref(brick), std::slice::from_ref(&run), options);
+            assert!(image.is_none() || *image == alone[0], "{name}");
+            num_samples += stats.num_samples;
+        }
+        assert!(stats.num_samples <= num_samples, "{name}");
+        let from_images = with_images(&list, &runs, all);
+        assert_identical(&name, &render(&scene, &from_images).unwrap().0, &expected);
+        // Behind a wall, what is hidden altogether has no image.
+        let wall = DrawHow::ConstantColor([1.0; 3], 1.0);
+        let mut behind_wall =
+            vec![DrawBrick { how: wall, region: [[-1.0; 3], [99.0; 3]], ..list[0].clone() }];
+        behind_wall.extend(list.iter().skip(1).cloned());
+        let (_, stats, images) = record(&scene, &behind_wall, &runs, whole);
+        assert!(images[0].is_some() && stats.num_samples == 0, "{name}: {stats:?}");
+        assert!(images[1..].iter().flatten().all(|image| image.pixels() == [[0; 2]; 2]), "{name}");
     }
 }
 
@@ -288,7 +326,8 @@ fn what_does_not_fit_is_refused() {
         let refused = Frame::new(scene, CpuOptions::default()).unwrap().draw_recording(list, runs);
         refused.unwrap_err().to_string()
     };
-    for runs in [vec![0..2, 1..3], vec![3..4, 0..1], vec![5..5], vec![0..1, list.len()..list.len() + 1]] {
+    for runs in [vec![0..2, 1..3], vec![3..4, 0..1], vec![5..5, 6..7], vec![0..1, list.len()..list.len() + 1]]
+    {
         let message = message(&scene, &list, &runs);
         assert!(message.contains("run to record is") && !message.contains('\n'), "{message}");
     }

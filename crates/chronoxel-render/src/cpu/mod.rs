@@ -12,6 +12,7 @@ mod partial;
 mod table;
 mod tile;
 
+use std::collections::HashMap;
 use std::ops::Range;
 use std::time::Instant;
 
@@ -36,11 +37,14 @@ pub struct CpuOptions {
     pub tile_edge: usize,
     /// Use plain Rust even where the CPU has AVX2.
     pub plain: bool,
+    /// Draw runs that are recorded also in tiles where they are hidden, if they are seen in others. It takes longer once,
+    /// and gives images of runs that would be drawn again for every picture.
+    pub record_hidden: bool,
 }
 
 impl Default for CpuOptions {
     fn default() -> Self {
-        Self { tile_edge: 16, plain: false }
+        Self { tile_edge: 16, plain: false, record_hidden: false }
     }
 }
 
@@ -107,8 +111,9 @@ impl<'a> Frame<'a> {
     /// the tiles; drawn without being recorded, it gives others: by rounding, and by up to 1/512 where rays end, because
     /// those of a run end as if nothing were in front.
     ///
-    /// There is no image of a run that is hidden, in one tile or more, by what lies in front: it is not drawn there. A
-    /// run that shows nothing, or none of which lies in the picture, has an empty image.
+    /// There is no image of a run that is hidden by what lies in front: it is not drawn in a tile where all rays that
+    /// cross it have ended. One such tile is enough, or with [`CpuOptions::record_hidden`] all of them. A run that shows
+    /// nothing, or none of which lies in the picture, has an empty image.
     ///
     /// * `runs`: indices of consecutive bricks, at least one each; ascending, not overlapping
     ///
@@ -133,22 +138,43 @@ impl<'a> Frame<'a> {
             }
             jobs.extend(job.map(|job| Job { run, ..job }));
         }
-        let drawn = self.draw_tiles(&jobs);
+        let mut drawn = self.draw_tiles(&jobs);
         self.is_begun = true;
-        let mut recorded = Vec::with_capacity(drawn.len());
-        for block in drawn {
-            block.copy_to(&mut self.gathered);
-            self.stats.num_samples += block.num_samples;
-            recorded.push(block.recorded);
+        drawn.iter().for_each(|block| block.copy_to(&mut self.gathered));
+        if self.options.record_hidden {
+            let hidden =
+                partial::take_hidden(runs.len(), drawn.iter_mut().map(|b| (b.corner, &mut b.recorded)));
+            drawn.extend(self.draw_hidden(&jobs, hidden));
         }
+        self.stats.num_samples += drawn.iter().map(|block| block.num_samples).sum::<u64>();
+        let recorded: Vec<_> = drawn.into_iter().map(|block| block.recorded).collect();
         let images = partial::assemble(self.scene.size, runs.len(), &recorded);
         self.stats.render_ms += start.elapsed().as_secs_f64() * 1e3;
         Ok(images)
     }
 
+    fn tile_edge(&self) -> usize {
+        self.options.tile_edge.clamp(8, 1024).next_multiple_of(8)
+    }
+
+    /// Records runs as if nothing were in front of them.
+    ///
+    /// * `hidden`: corners of tiles, and the run that is drawn there
+    fn draw_hidden(&self, jobs: &[Job], hidden: Vec<([usize; 2], u32)>) -> Vec<PixelBlock> {
+        let (edge, size, setup) = (self.tile_edge(), self.scene.size, RaySetup::new(self.scene));
+        let of_runs: HashMap<_, _> =
+            jobs.chunk_by(|a, b| a.run == b.run).map(|run| (run[0].run, run)).collect();
+        let draw = |tile: &mut Tile, (corner, run): ([usize; 2], u32)| {
+            tile.begin(Some(&setup), corner, size, edge, None);
+            tile.record(run, of_runs[&Some(run)].iter());
+            tile.end()
+        };
+        hidden.into_par_iter().with_max_len(8).map_init(Tile::default, draw).collect()
+    }
+
     /// Draws jobs behind what was drawn before, tile by tile.
     fn draw_tiles(&self, jobs: &[Job]) -> Vec<PixelBlock> {
-        let (edge, size) = (self.options.tile_edge.clamp(8, 1024).next_multiple_of(8), self.scene.size);
+        let (edge, size) = (self.tile_edge(), self.scene.size);
         let setup = RaySetup::new(self.scene);
         let gathered = self.is_begun.then_some(&self.gathered);
         let job = |i: &u32| &jobs[*i as usize];

@@ -138,6 +138,25 @@ impl Recorded {
     }
 }
 
+/// Takes, of runs that are seen in one tile, the others where they are hidden.
+///
+/// * `recorded`: what each tile recorded
+pub(super) fn take_hidden<'a, T: Copy>(
+    num_runs: usize,
+    recorded: impl Iterator<Item = (T, &'a mut Recorded)>,
+) -> Vec<(T, u32)> {
+    let recorded: Vec<_> = recorded.collect();
+    let mut is_seen = vec![false; num_runs];
+    for (_, tile) in &recorded {
+        tile.places.iter().for_each(|(run, _)| is_seen[*run as usize] = true);
+    }
+    let mut taken = Vec::new();
+    for (tile, of_tile) in recorded {
+        taken.extend(of_tile.hidden.extract_if(.., |run| is_seen[*run as usize]).map(|run| (tile, run)));
+    }
+    taken
+}
+
 /// Puts together what the tiles of a picture recorded: an image per run, and none where a tile did not draw the run.
 pub(super) fn assemble(
     size: [usize; 2],

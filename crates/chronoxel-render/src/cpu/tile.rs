@@ -36,7 +36,7 @@ pub(super) struct Tile {
 
 /// The pixels of a tile that was drawn.
 pub(super) struct PixelBlock {
-    corner: [usize; 2],
+    pub corner: [usize; 2],
     width: usize,
     pixels: Vec<[f32; 4]>,
     pub recorded: Recorded,
