@@ -2,7 +2,8 @@
 //!
 //! A step streams past in slabs (`stream`); each level is filtered from the one below (`pyramid`); as soon as the
 //! slices of a layer of bricks are there, its bricks are cut (`cut`), analysed (`analyse`), padded where masked
-//! (`pad`), coded (`coding`) and handed to the store's writer. Codecs that use time let bricks wait (`scratch`) until the
+//! (`pad`), coded (`coding`) and handed to the store's writer; the finest ones are taken into the statistics of the time tree
+//! (`moments`). Codecs that use time let bricks wait (`scratch`) until the
 //! window of their node is over (`timing`, `windowed`). Memory and threads decide how much is done at once (`budget`), never
 //! what comes out.
 
@@ -12,6 +13,7 @@ mod choose;
 mod coding;
 mod cut;
 mod mark;
+mod moments;
 mod node;
 mod options;
 mod output;
@@ -34,7 +36,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use chronoxel_core::{BrickLayout, Octree, SampleType, octree::levels_of};
-use chronoxel_store::{StoreDescription, StoreWriter, VariableDescription};
+use chronoxel_store::{StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -46,7 +48,7 @@ use output::Output;
 use rate::Spending;
 use step::Stepper;
 use stream::StreamPlan;
-use variable::{Coding, How, Places, StepTask, VariableEncoder};
+use variable::{Before, Coding, How, Places, StepTask, VariableEncoder};
 
 /// Encodes a series into the store `output`.
 ///
@@ -95,6 +97,7 @@ impl Job {
         let levels = levels_of(&grid, &layout);
         let variables = options.choose_variables(series.variables(), series.times().num_steps())?;
         let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
+        let time_tree = TimeTreeEntry::of_grid(&grid);
         let most =
             |of: &dyn Fn(&How) -> u64| variables.iter().map(|(_, coding)| of(&coding.how)).max().unwrap_or(0);
         let task = budget::Task {
@@ -109,6 +112,8 @@ impl Job {
             held_nodes: most(&|how| how.held_nodes(&levels[0])),
             held_payload_bytes: most(&How::held_payload_bytes),
             num_variables: variables.len() as u64,
+            num_steps: series.times().num_steps() as u32,
+            stride: time_tree.stride,
         };
         let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {
@@ -129,7 +134,7 @@ impl Job {
             tree: Octree::full(&levels),
             variables: described.collect(),
             zstd_level: variables.iter().map(|(_, coding)| coding.how.zstd_level()).max().unwrap_or(1),
-            time_tree: None,
+            time_tree: Some(time_tree),
             encoder: options.recorded(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };
@@ -160,17 +165,20 @@ impl Job {
         report: &mut EncodeReport,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), EncodeError> {
-        let first = first as usize;
-        report.steps_resumed = first;
+        report.steps_resumed = first as usize;
+        let statistics_first = moments::first_step(writer.steps_committed(), self.num_steps() as u32);
+        let start = first.min(statistics_first) as usize;
         let mut told = Progress {
-            step: first,
+            step: start,
             num_steps: self.num_steps(),
-            done_bytes: report.raw_bytes / self.num_steps() as u64 * first as u64,
+            done_bytes: report.raw_bytes / self.num_steps() as u64 * start as u64,
             raw_bytes: report.raw_bytes,
         };
-        let mut encoders = self.encoders(series, writer, first, folder)?;
-        for step in first..self.num_steps() {
+        let mut encoders = self.encoders(series, writer, [start as u32, statistics_first], folder)?;
+        for step in start..self.num_steps() {
             told.step = step;
+            // What is read again for its statistics alone is finished.
+            let is_finished = step < first as usize;
             for (variable, encoder) in encoders.iter_mut().enumerate() {
                 let bytes = self.step_bytes(variable);
                 let mut on_share = |share| {
@@ -180,12 +188,16 @@ impl Job {
                 let marks =
                     encoder.encode_step(series, &self.task(step), writer, &mut self.shares(&mut on_share))?;
                 told.done_bytes += bytes;
-                report.num_masked += marks.num_masked;
-                report.num_infinite += marks.num_infinite;
+                if !is_finished {
+                    report.num_masked += marks.num_masked;
+                    report.num_infinite += marks.num_infinite;
+                }
             }
-            writer.set_carry(carry_of(step, &encoders));
-            writer.commit_step(step as u32)?;
-            report.steps_read += 1;
+            if !is_finished {
+                writer.set_carry(carry_of(step, &encoders));
+                writer.commit_step(step as u32)?;
+                report.steps_read += 1;
+            }
         }
         match writer.header().variables.iter().find(|v| v.min.is_none()) {
             Some(v) => Err(EncodeError::NoData { variable: v.name.clone(), num_steps: self.num_steps() }),
@@ -193,11 +205,13 @@ impl Job {
         }
     }
 
+    /// * `start`: the step to read next
+    /// * `statistics_first`: the one that statistics go on from
     fn encoders(
         &self,
         series: &dyn TimeSeries,
         writer: &StoreWriter,
-        first: usize,
+        [start, statistics_first]: [u32; 2],
         folder: &Path,
     ) -> Result<Vec<VariableEncoder<'_>>, EncodeError> {
         let places = Places {
@@ -205,14 +219,18 @@ impl Job {
             levels: &self.plan.levels,
             layout: &self.description.layout,
             num_steps: self.num_steps() as u32,
+            stride: self.description.time_tree.map_or(1, |entry| entry.stride),
             folder,
             scratch_bytes: self.portions.scratch_bytes / self.variables.len() as u64,
         };
         let encoders = self.variables.iter().enumerate().map(|(variable, (index, coding))| {
-            let ranges = ranges_before(writer.carry(), variable, first);
+            let before = Before {
+                ranges: ranges_before(writer.carry(), variable, start as usize),
+                spending: Spending::deserialize(&writer.carry()["spending"][variable]).ok(),
+                first: statistics_first,
+            };
             let fits_f32 = series.variables()[*index].sample_type.fits_f32();
-            let spending = Spending::deserialize(&writer.carry()["spending"][variable]).ok();
-            VariableEncoder::new(*index, variable, coding, fits_f32, &places, ranges, spending)
+            VariableEncoder::new([*index, variable], coding, fits_f32, &places, before, writer)
         });
         encoders.collect()
     }

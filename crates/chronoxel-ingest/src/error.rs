@@ -149,6 +149,14 @@ pub enum EncodeError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// What the journal keeps of the time tree for a resume cannot be used.
+    #[error("cannot resume: {name} in the journal of the store: {problem}: encode anew with --overwrite")]
+    Carried {
+        /// The file of the journal.
+        name: String,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// The store to resume was made otherwise.
     #[error("{}: cannot resume: {field} was {was} and is {is}: give the same source and options, or --overwrite", path.display())]
     ResumeDiffers {

@@ -71,7 +71,7 @@ fn ends_of<T: Real>(low: [T; LANES], high: [T; LANES]) -> (T, T) {
 }
 
 /// The rows of a brick's core that lie inside the grid.
-struct Core<'a, T> {
+pub(super) struct Core<'a, T> {
     samples: &'a [T],
     full: usize,
     low: usize,
@@ -79,13 +79,37 @@ struct Core<'a, T> {
 }
 
 impl<'a, T: Real> Core<'a, T> {
-    fn new(samples: &'a [T], brick: [usize; 3], geometry: &LevelGeometry, layout: &BrickLayout) -> Self {
+    /// Of brick `[x, y, z]`, of whose core and apron these are the samples.
+    pub(super) fn new(
+        samples: &'a [T],
+        brick: [usize; 3],
+        geometry: &LevelGeometry,
+        layout: &BrickLayout,
+    ) -> Self {
         let extent = std::array::from_fn(|a| (geometry.dims[a] - brick[a] * layout.edge).min(layout.edge));
         Self { samples, full: layout.full_edge(), low: layout.low, extent }
     }
 
     fn num_samples(&self) -> u64 {
         self.extent.iter().product::<usize>() as u64
+    }
+
+    /// Number of the samples that [`Self::gather`] gathers.
+    pub(super) fn num_strided(&self, stride: usize) -> usize {
+        self.extent.iter().map(|n| n.div_ceil(stride)).product()
+    }
+
+    /// Appends every `stride`-th sample along each axis to `out`.
+    pub(super) fn gather(&self, stride: usize, out: &mut Vec<T>) {
+        let [_, ny, _] = self.extent;
+        for (i, row) in self.rows().enumerate() {
+            if (i % ny).is_multiple_of(stride) && (i / ny).is_multiple_of(stride) {
+                match stride {
+                    1 => out.extend_from_slice(row),
+                    _ => out.extend(row.iter().copied().step_by(stride)),
+                }
+            }
+        }
     }
 
     fn rows(&self) -> impl Iterator<Item = &'a [T]> {

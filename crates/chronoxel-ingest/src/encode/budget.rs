@@ -2,6 +2,7 @@
 
 use chronoxel_core::{BrickLayout, LevelGeometry, SampleType};
 
+use super::moments;
 use crate::EncodeError;
 
 /// The portions in which a step is read and its bricks are coded.
@@ -60,6 +61,10 @@ pub struct Task<'a> {
     pub held_payload_bytes: u64,
     /// Variables that wait at the same time.
     pub num_variables: u64,
+    /// Steps of the series.
+    pub num_steps: u32,
+    /// Every so many samples along each axis take part in the temporal error.
+    pub stride: u32,
 }
 
 /// The largest portions that fit `memory_bytes`.
@@ -104,6 +109,7 @@ impl Task<'_> {
             self.slices_bytes(portions.slab_slices),
             self.bricks_bytes(portions.batch_bricks),
             self.nodes_bytes(portions.batch_nodes),
+            self.moments_bytes(),
             self.writer_bytes(),
             self.source_bytes,
         ];
@@ -145,9 +151,18 @@ impl Task<'_> {
         coded.saturating_add(waiting.saturating_mul(self.num_variables))
     }
 
+    /// For each thread the samples of two runs of steps of a brick; what is known of each finest brick while it waits,
+    /// and of all nodes over the runs that a step closes.
+    fn moments_bytes(&self) -> u64 {
+        let samples = moments::samples_of_brick(self.layout, self.stride) as u64;
+        let threads = (self.num_threads as u64).saturating_mul(moments::BUFFERS * self.held_bytes());
+        let waiting = moments::WAITING_BYTES.saturating_mul(self.num_variables);
+        let of_node = waiting.saturating_add(moments::closing_bytes(self.num_steps));
+        samples.saturating_mul(threads).saturating_add(nodes_of(&self.levels[0]).saturating_mul(of_node))
+    }
+
     fn num_nodes(&self) -> u64 {
-        let nodes = |level: &LevelGeometry| level.bricks.iter().map(|&n| n as u64).product::<u64>();
-        self.levels.iter().map(nodes).fold(0, u64::saturating_add)
+        self.levels.iter().map(nodes_of).fold(0, u64::saturating_add)
     }
 
     fn writer_bytes(&self) -> u64 {
@@ -164,6 +179,10 @@ fn largest(most: usize, fits: impl Fn(usize) -> bool) -> usize {
         n /= 2;
     }
     n.max(1)
+}
+
+fn nodes_of(level: &LevelGeometry) -> u64 {
+    level.bricks.iter().map(|&n| n as u64).product()
 }
 
 fn area(level: &LevelGeometry) -> u64 {
@@ -191,6 +210,8 @@ mod tests {
             held_nodes: 0,
             held_payload_bytes: 0,
             num_variables: 1,
+            num_steps: 1,
+            stride: 4,
         };
         let at = |bytes| portions(&task, bytes);
         let ample = at(1 << 33).unwrap();

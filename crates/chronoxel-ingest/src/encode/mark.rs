@@ -27,6 +27,12 @@ impl Marks {
     }
 }
 
+/// Largest minus smallest value of a range; 0 where it holds none.
+pub fn width_of([low, high]: [f64; 2]) -> f64 {
+    // Halved before the difference and doubled after, which cannot overflow on the way.
+    2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX)
+}
+
 /// Turns every masked sample into NaN.
 pub fn mark<T: Real>(slice: &mut [T], fill_value: Option<f64>) -> Marks {
     // Compared in the source's own precision: a file may declare 1e20 in f64 and hold the nearest f32.

@@ -7,7 +7,8 @@ use chronoxel_core::{BrickLayout, LevelGeometry, Octree};
 use chronoxel_store::{SpanWrite, StoreWriter};
 
 use super::coding::{CodedBrick, code};
-use super::mark::Marks;
+use super::mark::{Marks, width_of};
+use super::moments::{self, TimeMoments};
 use super::rate::{self, Spending};
 use super::real::Real;
 use super::step::{CutBrick, Stepper};
@@ -122,10 +123,26 @@ pub struct VariableEncoder<'a> {
     ranges: Vec<[f64; 2]>,
 }
 
+/// What is open between steps, in the number type of the source.
 enum OpenSteps {
-    None,
-    F32(OpenWindows<f32>),
-    F64(OpenWindows<f64>),
+    F32(Open<f32>),
+    F64(Open<f64>),
+}
+
+struct Open<T> {
+    /// Of codecs that use time.
+    windows: Option<OpenWindows<T>>,
+    moments: TimeMoments<T>,
+}
+
+/// What a variable goes on from.
+pub struct Before {
+    /// Range of the source up to each of the last steps before the one to read next.
+    pub ranges: Vec<[f64; 2]>,
+    /// What was spent up to the last commit, where there is a rate to meet.
+    pub spending: Option<Spending>,
+    /// The step that statistics go on from.
+    pub first: u32,
 }
 
 /// What coding a step needs besides the variable.
@@ -141,41 +158,34 @@ pub struct StepTask<'a> {
 impl<'a> VariableEncoder<'a> {
     /// Before the first step, or as an interrupted run left it.
     ///
-    /// * `ranges`: range of the source up to each of the last steps before the one to read next
-    /// * `spending`: what was spent up to the last commit, where there is a rate to meet
+    /// * `index`, `variable`: its index in the series, and in the store
     pub fn new(
-        index: usize,
-        variable: usize,
+        [index, variable]: [usize; 2],
         coding: &'a Coding,
         fits_f32: bool,
         places: &Places<'_>,
-        ranges: Vec<[f64; 2]>,
-        spending: Option<Spending>,
+        before: Before,
+        writer: &StoreWriter,
     ) -> Result<Self, EncodeError> {
-        let Places { levels, layout, num_steps, .. } = *places;
-        let open = match coding.how {
-            How::Steps { .. } => OpenSteps::None,
-            How::Windows { window, method } => {
-                let timing = Timing { window, num_steps };
-                let spending = match method {
-                    Method::Rate { bits } => spending.or(Some(Spending::new(bits, levels, num_steps))),
-                    _ => None,
-                };
-                match fits_f32 {
-                    true => OpenSteps::F32(OpenWindows::new(timing, places, spending)?),
-                    false => OpenSteps::F64(OpenWindows::new(timing, places, spending)?),
-                }
+        let Before { ranges, spending, first } = before;
+        let spending = match coding.how {
+            How::Windows { method: Method::Rate { bits }, .. } => {
+                spending.or(Some(Spending::new(bits, places.levels, places.num_steps)))
             }
+            _ => None,
         };
-        Ok(Self { index, variable, coding, classes: coding.how.classes(layout), open, ranges })
+        let open = match fits_f32 {
+            true => OpenSteps::F32(Open::new(variable, coding, places, spending, first, writer)?),
+            false => OpenSteps::F64(Open::new(variable, coding, places, spending, first, writer)?),
+        };
+        Ok(Self { index, variable, coding, classes: coding.how.classes(places.layout), open, ranges })
     }
 
     /// What was spent, where there is a rate to meet: what a resume needs.
     pub fn spending(&self) -> Option<&Spending> {
         match &self.open {
-            OpenSteps::None => None,
-            OpenSteps::F32(open) => open.spending(),
-            OpenSteps::F64(open) => open.spending(),
+            OpenSteps::F32(open) => open.windows.as_ref()?.spending(),
+            OpenSteps::F64(open) => open.windows.as_ref()?.spending(),
         }
     }
 
@@ -184,7 +194,7 @@ impl<'a> VariableEncoder<'a> {
         &self.ranges
     }
 
-    /// Reads a step and puts the spans that it completes.
+    /// Reads a step and puts the spans and statistics that it completes.
     pub fn encode_step(
         &mut self,
         series: &mut dyn TimeSeries,
@@ -192,20 +202,37 @@ impl<'a> VariableEncoder<'a> {
         writer: &mut StoreWriter,
         on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        let fits_f32 = series.variables()[self.index].sample_type.fits_f32();
         let reader = series.open_step(self.index, task.step as usize)?;
         let Self { variable, coding, classes, ranges, .. } = self;
         let run = VariableStep { variable: *variable, coding, classes, task };
         match &mut self.open {
-            OpenSteps::None if fits_f32 => run.steps::<f32>(reader, writer, on_bricks),
-            OpenSteps::None => run.steps::<f64>(reader, writer, on_bricks),
-            OpenSteps::F32(open) => run.windows(reader, open, ranges, writer, on_bricks),
-            OpenSteps::F64(open) => run.windows(reader, open, ranges, writer, on_bricks),
+            OpenSteps::F32(open) => run.read(reader, open, ranges, writer, on_bricks),
+            OpenSteps::F64(open) => run.read(reader, open, ranges, writer, on_bricks),
         }
     }
 }
 
-/// What the windows of all variables share.
+impl<T: Real> Open<T> {
+    fn new(
+        variable: usize,
+        coding: &Coding,
+        places: &Places<'_>,
+        spending: Option<Spending>,
+        first: u32,
+        writer: &StoreWriter,
+    ) -> Result<Self, EncodeError> {
+        let windows = match coding.how {
+            How::Steps { .. } => None,
+            How::Windows { window, .. } => {
+                let timing = Timing { window, num_steps: places.num_steps };
+                Some(OpenWindows::new(timing, places, spending)?)
+            }
+        };
+        Ok(Self { windows, moments: TimeMoments::new(variable, places, first, writer)? })
+    }
+}
+
+/// What all variables share.
 #[derive(Clone, Copy)]
 pub struct Places<'a> {
     /// The nodes.
@@ -216,11 +243,16 @@ pub struct Places<'a> {
     pub layout: &'a BrickLayout,
     /// Steps of the series.
     pub num_steps: u32,
-    /// Where a scratch file may lie.
+    /// Every so many samples along each axis take part in the temporal error.
+    pub stride: u32,
+    /// Where scratch files may lie.
     pub folder: &'a Path,
     /// What may wait in memory, of each variable.
     pub scratch_bytes: u64,
 }
+
+/// What looks at every brick of a step before it is coded; called in parallel.
+type Observe<'a, T> = dyn Fn(&CutBrick<'_, T>) -> Result<(), EncodeError> + Sync + 'a;
 
 /// One step of one variable.
 struct VariableStep<'a> {
@@ -231,22 +263,61 @@ struct VariableStep<'a> {
 }
 
 impl VariableStep<'_> {
+    fn read<T: Real>(
+        &self,
+        reader: Box<dyn StepReader + '_>,
+        open: &mut Open<T>,
+        ranges: &mut Vec<[f64; 2]>,
+        writer: &mut StoreWriter,
+        on_bricks: &mut dyn FnMut(u8, usize),
+    ) -> Result<Marks, EncodeError> {
+        let Open { windows, moments } = open;
+        let StepTask { stepper, step, .. } = self.task;
+        moments.begin(*step, writer)?;
+        // Over the steps before this one: known while its bricks arrive.
+        let range = self.coding.range.or(ranges.last().copied()).map_or(0.0, width_of);
+        let observe = |brick: &CutBrick<'_, T>| moments.take(brick, *step, range);
+        let marks = match windows {
+            None => self.steps(reader, &observe, ranges, writer, on_bricks)?,
+            Some(open) => self.windows(reader, &observe, open, ranges, writer, on_bricks)?,
+        };
+        moments.end(*step, stepper.tree, writer)?;
+        Ok(marks)
+    }
+
     /// Each brick is coded at once.
     fn steps<T: Real>(
         &self,
         reader: Box<dyn StepReader + '_>,
+        observe: &Observe<'_, T>,
+        ranges: &mut Vec<[f64; 2]>,
         writer: &mut StoreWriter,
         on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        let of_brick = |brick: CutBrick<'_, T>| self.span(brick);
-        let mut put = |level, spans| Ok(writer.put(self.variable, level, spans)?);
-        self.task.stepper.each_brick::<T, SpanWrite>(
-            reader,
-            self.coding.fill_value,
-            &of_brick,
-            &mut put,
-            on_bricks,
-        )
+        // A resume reads some steps again, for their statistics alone: all nodes of such a step were put.
+        let is_put = writer.covered_until(self.variable, 0, 0) > self.task.step;
+        let of_brick = |brick: CutBrick<'_, T>| {
+            observe(&brick)?;
+            if is_put { Ok(None) } else { self.span(brick).map(Some) }
+        };
+        let mut put = |level, spans: Vec<Option<SpanWrite>>| match is_put {
+            true => Ok(()),
+            false => Ok(writer.put(self.variable, level, spans.into_iter().flatten().collect())?),
+        };
+        let fill_value = self.coding.fill_value;
+        let marks = self.task.stepper.each_brick(reader, fill_value, &of_brick, &mut put, on_bricks)?;
+        self.see(&marks, ranges);
+        Ok(marks)
+    }
+
+    /// Takes the range of a step to those before it.
+    fn see(&self, marks: &Marks, ranges: &mut Vec<[f64; 2]>) {
+        let [low, high] = ranges.last().copied().unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
+        ranges.push([low.min(marks.range[0]), high.max(marks.range[1])]);
+        // A resume goes back to the first step of an open window at most, or to where statistics go on.
+        if ranges.len() > self.coding.how.window().max(moments::KEPT_STEPS) as usize + 1 {
+            ranges.remove(0);
+        }
     }
 
     fn span<T: Real>(&self, brick: CutBrick<'_, T>) -> Result<SpanWrite, EncodeError> {
@@ -273,6 +344,7 @@ impl VariableStep<'_> {
     fn windows<T: Real>(
         &self,
         reader: Box<dyn StepReader + '_>,
+        observe: &Observe<'_, T>,
         open: &mut OpenWindows<T>,
         ranges: &mut Vec<[f64; 2]>,
         writer: &mut StoreWriter,
@@ -285,17 +357,13 @@ impl VariableStep<'_> {
         // A resume reads some steps again: what was put of them already does not wait.
         let is_put = |level, rank| writer.covered_until(self.variable, level, rank) > *step;
         let of_brick = |brick: CutBrick<'_, T>| {
+            observe(&brick)?;
             Ok((!is_put(brick.geometry.level, brick.rank)).then(|| Arrival::new(brick)))
         };
         let mut wait =
             |level, arrivals: Vec<Option<Arrival<T>>>| open.wait(level, arrivals.into_iter().flatten());
         let marks = stepper.each_brick(reader, self.coding.fill_value, &of_brick, &mut wait, on_bricks)?;
-        let [low, high] = ranges.last().copied().unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
-        ranges.push([low.min(marks.range[0]), high.max(marks.range[1])]);
-        // A resume goes back to the first step of an open window at most.
-        if ranges.len() > window as usize + 1 {
-            ranges.remove(0);
-        }
+        self.see(&marks, ranges);
         let coder = NodeCoder {
             layout: &stepper.plan.layout,
             levels: &stepper.plan.levels,

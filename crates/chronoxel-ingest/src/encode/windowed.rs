@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::analyse::Analysis;
 use super::choose::{self, NodeWindow, within_bound};
 use super::coding::Refusal;
+use super::mark::width_of;
 use super::node::{NodeSteps, Piece, Section, core_inside};
 use super::palettes::{self, PaletteKind};
 use super::rate::{self, Spending};
@@ -262,9 +263,7 @@ impl NodeCoder<'_> {
 
     /// The largest absolute error for one that is relative to the range.
     fn bound(&self, max_error: f64) -> f64 {
-        let [low, high] = self.range;
-        // Halved before the difference and doubled after, which cannot overflow on the way.
-        max_error * 2.0 * (0.5 * high - 0.5 * low).clamp(0.0, 0.5 * f64::MAX)
+        max_error * width_of(self.range)
     }
 
     /// Phase of a node: by layers of bricks where a whole slice is coded at once.

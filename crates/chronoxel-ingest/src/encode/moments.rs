@@ -1,0 +1,288 @@
+//! Statistics of every octree node over every node of the time tree (ellsworth2000, eq. 1–6), while steps stream past.
+//!
+//! Each finest brick has a run of steps waiting at some levels of its time tree, as a binary counter has its bits: a step is a run of
+//! one, and two halves are merged as soon as the second is over. At the end of the series what is left is merged as it is, so that
+//! the last nodes are cut to the series. A run knows its statistics, hashes of what it holds, and of every sample
+//! ([`samples`]) the mean and the deviation in time; these wait in files ([`carried`]). What closes is merged up the octree
+//! ([`tree`]) and put to the store.
+//!
+//! For large grids only every `stride`-th sample along each axis takes part in the temporal error; a mean over fewer samples.
+
+mod blocks;
+mod carried;
+mod run;
+mod samples;
+mod tree;
+
+use std::sync::Mutex;
+
+use chronoxel_core::time_tree::num_time_levels;
+use chronoxel_core::{BrickLayout, Octree, TimeNode};
+use chronoxel_store::StoreWriter;
+
+use super::analyse::Core;
+use super::real::Real;
+use super::step::CutBrick;
+use super::variable::Places;
+use crate::EncodeError;
+use carried::{Carried, KEPT_FROM, ShortRuns};
+use run::{Held, Known, Run};
+use samples::Merging;
+
+/// Statistics go on from a multiple of so many steps after an interruption.
+pub const KEPT_STEPS: u32 = 1 << KEPT_FROM;
+
+/// The first step that statistics go on from where a store of `num_steps` has some committed.
+pub fn first_step(num_committed: u32, num_steps: u32) -> u32 {
+    if num_committed >= num_steps { num_steps } else { num_committed / KEPT_STEPS * KEPT_STEPS }
+}
+
+/// Bytes of memory that each finest node takes: while it waits, for each variable.
+pub const WAITING_BYTES: u64 = size_of::<Node>() as u64;
+
+/// Bytes that all nodes take while a step is merged and put, in units of finest nodes.
+///
+/// * `num_steps`: of the series
+pub fn closing_bytes(num_steps: u32) -> u64 {
+    // Closed by the last step: one at each time level. Then those of all octree levels, one time level at a time.
+    (u64::from(num_time_levels(num_steps)) + 4) * size_of::<Known>() as u64
+}
+
+/// The largest number of samples of a brick that take part.
+pub fn samples_of_brick(layout: &BrickLayout, stride: u32) -> usize {
+    layout.edge.div_ceil(stride as usize).pow(3)
+}
+
+/// Buffers of samples of a brick that a thread uses.
+pub const BUFFERS: u64 = 4;
+
+/// What is carried through time of the finest bricks of one variable.
+pub struct TimeMoments<T> {
+    num_steps: u32,
+    layout: BrickLayout,
+    stride: usize,
+    variable: usize,
+    /// The first step that statistics go on from: those before have theirs.
+    first: u32,
+    nodes: Vec<Mutex<Node>>,
+    carried: Carried,
+    /// Those that no thread uses.
+    buffers: Mutex<Vec<Buffers<T>>>,
+}
+
+/// A finest brick, between steps and while one streams past.
+#[derive(Default)]
+struct Node {
+    short: ShortRuns,
+    /// What the step closes, by time level.
+    closed: Vec<Known>,
+}
+
+/// Means, then deviations.
+struct Buffers<T> {
+    left: Vec<T>,
+    right: Vec<T>,
+}
+
+impl<T: Real> TimeMoments<T> {
+    /// Of variable `variable` of a store, from step `first` on, which [`first_step`] gives.
+    pub fn new(
+        variable: usize,
+        places: &Places<'_>,
+        first: u32,
+        writer: &StoreWriter,
+    ) -> Result<Self, EncodeError> {
+        let Places { tree, layout, stride, num_steps, folder, .. } = *places;
+        let num_nodes = tree.nodes(0).len();
+        let block_bytes = (2 * samples_of_brick(layout, stride) * size_of::<T>()) as u64;
+        let mut carried = Carried::new(variable, num_nodes, block_bytes, folder)?;
+        if first < num_steps {
+            carried.reopen(first, writer)?;
+        }
+        Ok(Self {
+            num_steps,
+            layout: *layout,
+            stride: stride as usize,
+            variable,
+            first,
+            nodes: (0..num_nodes).map(|_| Mutex::default()).collect(),
+            carried,
+            buffers: Mutex::default(),
+        })
+    }
+
+    /// The run that waits once a step is read; none after the last.
+    fn waiting(&self, step: u32) -> Option<TimeNode> {
+        let last = TimeNode::closed_by(step, self.num_steps).last();
+        last.filter(|_| step + 1 < self.num_steps)
+    }
+
+    /// Before a step is read.
+    pub fn begin(&mut self, step: u32, writer: &mut StoreWriter) -> Result<(), EncodeError> {
+        match self.waiting(step).filter(|_| step >= self.first) {
+            Some(at) => self.carried.prepare(at, writer),
+            None => Ok(()),
+        }
+    }
+
+    /// Takes a brick of a step; called in parallel.
+    ///
+    /// * `value_range`: largest minus smallest value of the variable, for the guard of small means
+    pub fn take(&self, brick: &CutBrick<'_, T>, step: u32, value_range: f64) -> Result<(), EncodeError> {
+        if brick.geometry.level > 0 || step < self.first {
+            return Ok(());
+        }
+        let free = self.buffers.lock().expect("no one panics while holding buffers").pop();
+        let mut buffers = free.unwrap_or(Buffers { left: Vec::new(), right: Vec::new() });
+        let rank = brick.rank as usize;
+        let mut node = self.nodes[rank].lock().expect("no one panics while holding a node");
+        let mut merger = Merger { moments: self, rank, value_range, num_samples: 0, buffers: &mut buffers };
+        let taken = merger.take(brick, step, &mut node);
+        self.buffers.lock().expect("no one panics while holding buffers").push(buffers);
+        taken
+    }
+
+    /// Once all bricks of a step are taken: puts what it closes.
+    pub fn end(&mut self, step: u32, tree: &Octree, writer: &mut StoreWriter) -> Result<(), EncodeError> {
+        if step < self.first {
+            return Ok(());
+        }
+        let mut closed: Vec<Vec<Known>> = Vec::with_capacity(self.nodes.len());
+        for node in &mut self.nodes {
+            closed.push(std::mem::take(
+                &mut node.get_mut().expect("no one panics while holding a node").closed,
+            ));
+        }
+        for (place, at) in TimeNode::closed_by(step, self.num_steps).enumerate() {
+            let finest = closed.iter().map(|closed| closed[place]).collect();
+            writer.put_statistics(self.variable, at, &tree::of_all_nodes(finest, tree))?;
+            if at.level > KEPT_FROM {
+                self.carried.forget(at.halves()[0], writer);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Merges one brick of a step through time.
+struct Merger<'a, T> {
+    moments: &'a TimeMoments<T>,
+    rank: usize,
+    value_range: f64,
+    /// Samples of the brick that take part.
+    num_samples: usize,
+    /// `right`: of the run that ends with the step.
+    buffers: &'a mut Buffers<T>,
+}
+
+impl<T: Real> Merger<'_, T> {
+    fn take(&mut self, brick: &CutBrick<'_, T>, step: u32, node: &mut Node) -> Result<(), EncodeError> {
+        let moments = self.moments;
+        let mut run = self.run_of_step(brick);
+        let mut last = TimeNode::of_step(step);
+        for at in TimeNode::closed_by(step, moments.num_steps) {
+            // Where the series ends with the first half, the whole is the same.
+            if at.level > 0 && last.index % 2 == 1 {
+                let [left, _] = at.halves();
+                let (earlier, crc) = moments.carried.run(left, self.rank, &mut node.short)?;
+                run = self.merged(left, &earlier, crc, &run)?;
+            }
+            node.closed.push(run.known);
+            last = at;
+        }
+        match moments.waiting(step) {
+            Some(at) => {
+                let len = self.num_held(run.held);
+                moments.carried.store(at, self.rank, run, &self.buffers.right[..len], &mut node.short)
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn num_held(&self, held: Held) -> usize {
+        match held {
+            Held::Alike(_) => 0,
+            Held::Means => self.num_samples,
+            Held::Both => 2 * self.num_samples,
+        }
+    }
+
+    fn run_of_step(&mut self, brick: &CutBrick<'_, T>) -> Run {
+        let core = Core::new(brick.samples, brick.brick, brick.geometry, &self.moments.layout);
+        self.num_samples = core.num_strided(self.moments.stride);
+        let mut run = Run::of_step(brick.samples, &brick.analysis, self.num_samples as u64);
+        if run.held != Held::Means {
+            return run;
+        }
+        let means = &mut self.buffers.right;
+        means.clear();
+        core.gather(self.moments.stride, means);
+        if brick.analysis.num_masked > 0 {
+            run.known.errors.count = means.iter().filter(|v| !v.is_masked()).count() as u64;
+        }
+        run
+    }
+
+    /// The run of both; `buffers.right` follows.
+    fn merged(
+        &mut self,
+        left: TimeNode,
+        earlier: &Run,
+        crc: Option<u32>,
+        later: &Run,
+    ) -> Result<Run, EncodeError> {
+        let mut merged = earlier.followed_by(later);
+        if merged.known.facts.is_static {
+            return Ok(merged);
+        }
+        let merging = Merging {
+            num_steps: [earlier.num_steps, later.num_steps],
+            value_range: self.value_range,
+            magnitude: merged.magnitude(),
+        };
+        if let (Held::Alike(a), Held::Alike(b)) = (earlier.held, later.held) {
+            let [mean, deviation] = a.map(T::from_f64);
+            let [mut means, mut deviations] = b.map(|v| [T::from_f64(v)]);
+            let errors = merging.merge([&[mean], &[deviation]], &mut means, &mut deviations);
+            merged.known.errors = errors.times(self.num_samples as u64);
+            merged.held = Held::Alike([means[0].to_f64(), deviations[0].to_f64()]);
+            return Ok(merged);
+        }
+        self.load(left, earlier.held, crc)?;
+        let num = self.num_samples;
+        spread(later.held, &mut self.buffers.right, num);
+        let (left_means, left_deviations) = self.buffers.left.split_at(num);
+        let (means, deviations) = self.buffers.right.split_at_mut(num);
+        merged.known.errors = match (earlier.held, later.held) {
+            (Held::Means, Held::Means) => merging.merge_means(left_means, means, deviations),
+            _ => merging.merge([left_means, left_deviations], means, deviations),
+        };
+        merged.held = Held::Both;
+        Ok(merged)
+    }
+
+    fn load(&mut self, left: TimeNode, held: Held, crc: Option<u32>) -> Result<(), EncodeError> {
+        let len = self.num_held(held);
+        let Self { moments, rank, buffers, num_samples, .. } = self;
+        buffers.left.resize(2 * *num_samples, T::from_f64(0.0));
+        if len > 0 {
+            moments.carried.load(left, *rank, crc, &mut buffers.left[..len])?;
+        }
+        spread(held, &mut buffers.left, *num_samples);
+        Ok(())
+    }
+}
+
+/// Writes out what is held in fewer numbers.
+fn spread<T: Real>(held: Held, samples: &mut Vec<T>, num: usize) {
+    samples.resize(2 * num, T::from_f64(0.0));
+    let (means, deviations) = samples.split_at_mut(num);
+    match held {
+        Held::Alike([mean, deviation]) => {
+            means.fill(T::from_f64(mean));
+            deviations.fill(T::from_f64(deviation));
+        }
+        Held::Means => deviations.fill(T::from_f64(0.0)),
+        Held::Both => {}
+    }
+}
