@@ -123,6 +123,65 @@ fn a_kill_at_any_moment_leaves_what_a_resume_completes() {
     }
 }
 
+/// Long enough for several levels of the time tree to wait in the journal.
+#[test]
+fn statistics_go_on_from_a_multiple_of_eight_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.cxl");
+    let num_steps = 27;
+    let mut series = mixed([66, 65, 33], num_steps);
+    for codec in [Codec::Raw, Codec::Palette] {
+        let options = |resume| EncodeOptions { codec, resume, overwrite: !resume, ..options() };
+        let mut copies: Vec<(usize, std::path::PathBuf)> = Vec::new();
+        encode(&mut series, &path, &options(false), &mut |progress| {
+            let due = [3, 8, 9, 15, 16, 23, 25, 26].contains(&progress.step);
+            if due && copies.last().is_none_or(|(step, _)| *step != progress.step) {
+                let copy = folder.path().join(format!("copy-{}.cxl", progress.step));
+                let _ = fs::remove_dir_all(&copy);
+                copy_folder(&path, &copy);
+                copies.push((progress.step, copy));
+            }
+        })
+        .unwrap();
+        let whole = files_of(&path);
+        assert_eq!(copies.len(), 8);
+        for (step, copy) in copies {
+            series.slices_read = vec![0; num_steps];
+            run(&mut series, &copy, &options(true)).unwrap();
+            let first_read = series.slices_read.iter().position(|&n| n > 0).unwrap();
+            // Each step of a volume this large is committed; windows of 8 steps are open up to 8 steps back.
+            let window = if codec == Codec::Palette { 8 } else { 0 };
+            assert!(
+                first_read <= step / 8 * 8 && first_read + window >= step / 8 * 8,
+                "{first_read} for {step}"
+            );
+            assert!(files_of(&copy) == whole, "{codec:?}, killed in step {step}");
+        }
+    }
+}
+
+#[test]
+fn damage_to_what_the_journal_keeps_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.cxl");
+    let mut series = mixed([66, 65, 33], 17);
+    series.broken_step = Some(10);
+    assert!(run(&mut series, &path, &options()).is_err());
+    series.broken_step = None;
+    let kept = folder.path().join("s.partial.cxl");
+    let names = files_of(&kept).into_keys().filter(|name| name.contains("moments-0-3-0"));
+    let file = kept.join(names.last().expect("eight steps are kept"));
+    let sound = fs::read(&file).unwrap();
+    // In what is known of a brick; in the samples of one.
+    for at in [200, sound.len() - 5] {
+        let mut damaged = sound.clone();
+        damaged[at] ^= 1;
+        fs::write(&file, damaged).unwrap();
+        let error = run(&mut series, &path, &resumed()).unwrap_err().to_string();
+        assert!(error.contains("moments-0-3-0") && error.contains("checksum of"), "{error}");
+    }
+}
+
 #[test]
 fn an_error_before_the_first_step_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();

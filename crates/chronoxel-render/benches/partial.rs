@@ -11,14 +11,8 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 
 mod peers;
 
-fn record(
-    scene: &Scene,
-    list: &[DrawBrick],
-    runs: &[Range<usize>],
-    record_hidden: bool,
-) -> Vec<Option<PartialImage>> {
-    let options = CpuOptions { record_hidden, ..CpuOptions::default() };
-    let mut frame = Frame::new(scene, options).expect("the scene can be drawn");
+fn record(scene: &Scene, list: &[DrawBrick], runs: &[Range<usize>]) -> Vec<Option<PartialImage>> {
+    let mut frame = Frame::new(scene, CpuOptions::default()).expect("the scene can be drawn");
     frame.draw_recording(list, runs).expect("the runs fit")
 }
 
@@ -39,8 +33,6 @@ fn composited(
 }
 
 /// 128³ samples in 64 bricks, marched, recorded, and composited from runs of several lengths.
-///
-/// `hidden`: whether what is hidden in some tiles is recorded as a whole.
 fn frames(c: &mut Criterion) {
     let field = peers::ripples(128);
     for (function, lit) in [("sparse", false), ("filled", false), ("sparse", true), ("filled", true)] {
@@ -50,13 +42,13 @@ fn frames(c: &mut Criterion) {
         let mut group = c.benchmark_group(format!("{function}{}", if lit { " lit" } else { "" }));
         group.sample_size(10);
         group.bench_function("marched", |b| b.iter(|| render(&scene, &list).expect("a picture")));
-        for (run_len, hidden) in [(1, false), (1, true), (4, true), (16, true), (64, false)] {
+        for run_len in [1, 4, 16, 64] {
             let runs: Vec<_> = (0..64).step_by(run_len).map(|i| i..i + run_len).collect();
-            let name = format!("by {run_len}, hidden {hidden}");
+            let name = format!("by {run_len}");
             group.bench_function(format!("recorded {name}"), |b| {
-                b.iter(|| black_box(record(&scene, &list, &runs, hidden)));
+                b.iter(|| black_box(record(&scene, &list, &runs)));
             });
-            let images = record(&scene, &list, &runs, hidden);
+            let images = record(&scene, &list, &runs);
             let num_bytes: usize = images.iter().flatten().map(PartialImage::num_bytes).sum();
             let from_images = composited(&list, &runs, images);
             let (_, stats) = render(&scene, &from_images).expect("a picture");
@@ -82,7 +74,7 @@ fn pixels(c: &mut Criterion) {
     let bricks = field.draw_list(&scene, 0, peers::Quantise::PerBrick);
     let list = peers::turned(&mut scene, &bricks, 30.0);
     let run = 0..list.len();
-    let image = record(&scene, &list, std::slice::from_ref(&run), false).swap_remove(0).expect("it is seen");
+    let image = record(&scene, &list, std::slice::from_ref(&run)).swap_remove(0).expect("it is seen");
     let num_pixels = image.num_bytes() as u64 / 16;
     let how = DrawHow::Partial(Arc::new(image));
     let mut group = c.benchmark_group("pixels composited");

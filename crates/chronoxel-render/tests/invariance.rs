@@ -47,9 +47,7 @@ fn tiles_and_instructions() {
     let field = field();
     for (name, scene) in scenes(&field, 16) {
         let list = field.draw_list(&scene, 0, Quantise::PerBrick);
-        let with = |tile_edge, plain| {
-            render_with(&scene, &list, &CpuOptions { tile_edge, plain, ..CpuOptions::default() }).unwrap()
-        };
+        let with = |tile_edge, plain| render_with(&scene, &list, &CpuOptions { tile_edge, plain }).unwrap();
         let (expected, stats) = with(16, false);
         for (tile_edge, plain) in [(8, false), (40, false), (1024, false), (16, true)] {
             let (actual, other_stats) = with(tile_edge, plain);

@@ -286,3 +286,74 @@ fn spread<T: Real>(held: Held, samples: &mut Vec<T>, num: usize) {
         Held::Both => {}
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use chronoxel_core::Samples;
+    use chronoxel_store::{Store, TimeTreeEntry};
+
+    use super::super::{Codec, EncodeOptions, EncodeReport, Job};
+    use super::*;
+    use crate::{TimeSeries, sim};
+
+    const DIMS: [usize; 3] = [17, 20, 15];
+
+    /// A small store whose temporal errors are made from every `stride`-th sample.
+    fn encoded(series: &mut dyn TimeSeries, stride: u32) -> Store {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.cxl");
+        let options = EncodeOptions { codec: Codec::Raw, brick_edge: 8, ..EncodeOptions::default() };
+        let mut job = Job::new(series, &options).unwrap();
+        job.description.time_tree = Some(TimeTreeEntry { stride });
+        let mut writer = StoreWriter::create(&path, &job.description, false).unwrap();
+        let mut report = EncodeReport::default();
+        job.run(series, &mut writer, 0, folder.path(), &mut report, &mut |_| {}).unwrap();
+        writer.finish().unwrap();
+        let store = Store::open(&path).unwrap();
+        // Chunks of statistics stay in the store's cache when the folder goes: read them all.
+        (0..4).for_each(|level| assert!(store.statistics(0, TimeNode { level, index: 0 }).is_ok()));
+        store
+    }
+
+    #[test]
+    fn strided_errors_are_means_over_every_so_many_samples() {
+        let mut series = sim::open("sim:vortex?dims=17x20x15&steps=5").unwrap();
+        let steps: Vec<Vec<f32>> = (0..5)
+            .map(|step| match series.open_step(0, step).unwrap().read_slices(DIMS[2]).unwrap() {
+                Samples::F32(samples) => samples,
+                Samples::F64(_) => panic!("a simulation is of single precision"),
+            })
+            .collect();
+        let fold = |from: &[Vec<f32>], pick: fn(f32, f32) -> f32| from.iter().flatten().copied().reduce(pick);
+        let before = &steps[..4];
+        let range = f64::from(fold(before, f32::max).unwrap()) - f64::from(fold(before, f32::min).unwrap());
+        let exact = encoded(&mut *series, 1);
+        for stride in [2, 4] {
+            let store = encoded(&mut *series, stride as u32);
+            let errors: Vec<f64> = (0..DIMS.iter().product())
+                .filter(|&i| {
+                    let place = [i % DIMS[0], i / DIMS[0] % DIMS[1], i / (DIMS[0] * DIMS[1])];
+                    place.iter().all(|p| p % stride == 0)
+                })
+                .map(|i| {
+                    let values = steps.iter().map(|step| f64::from(step[i]));
+                    let mean = values.clone().sum::<f64>() / 5.0;
+                    let variance = values.map(|v| (v - mean) * (v - mean)).sum::<f64>() / 5.0;
+                    variance.sqrt() / mean.abs().max(0.001 * range)
+                })
+                .collect();
+            let expected = errors.iter().sum::<f64>() / errors.len() as f64;
+            let at = TimeNode::root(5);
+            let root = store.statistics(0, at).unwrap().pop().unwrap();
+            assert!((root.temporal_error / expected - 1.0).abs() < 1e-5, "{root:?} {expected}");
+            let exact = exact.statistics(0, at).unwrap().pop().unwrap();
+            assert_ne!(root.temporal_error, exact.temporal_error);
+            assert_eq!((root.mean, root.std, root.facts), (exact.mean, exact.std, exact.facts));
+        }
+    }
+
+    #[test]
+    fn an_interruption_goes_back_to_a_multiple_of_eight() {
+        assert_eq!([0, 7, 8, 13, 35, 36].map(|committed| first_step(committed, 36)), [0, 0, 8, 8, 32, 36]);
+    }
+}

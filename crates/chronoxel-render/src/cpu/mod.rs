@@ -37,14 +37,11 @@ pub struct CpuOptions {
     pub tile_edge: usize,
     /// Use plain Rust even where the CPU has AVX2.
     pub plain: bool,
-    /// Draw runs that are recorded also in tiles where they are hidden, if they are seen in others. It takes longer once,
-    /// and gives images of runs that would be drawn again for every picture.
-    pub record_hidden: bool,
 }
 
 impl Default for CpuOptions {
     fn default() -> Self {
-        Self { tile_edge: 16, plain: false, record_hidden: false }
+        Self { tile_edge: 16, plain: false }
     }
 }
 
@@ -111,9 +108,9 @@ impl<'a> Frame<'a> {
     /// the tiles; drawn without being recorded, it gives others: by rounding, and by up to 1/512 where rays end, because
     /// those of a run end as if nothing were in front.
     ///
-    /// There is no image of a run that is hidden by what lies in front: it is not drawn in a tile where all rays that
-    /// cross it have ended. One such tile is enough, or with [`CpuOptions::record_hidden`] all of them. A run that shows
-    /// nothing, or none of which lies in the picture, has an empty image.
+    /// A run that can be seen anywhere is drawn everywhere. There is no image of a run that is hidden altogether, because
+    /// every ray that crosses it has ended in front: it is not drawn. A run that shows nothing, or none of which lies in
+    /// the picture, has an empty image.
     ///
     /// * `runs`: indices of consecutive bricks, at least one each; ascending, not overlapping
     ///
@@ -141,11 +138,8 @@ impl<'a> Frame<'a> {
         let mut drawn = self.draw_tiles(&jobs);
         self.is_begun = true;
         drawn.iter().for_each(|block| block.copy_to(&mut self.gathered));
-        if self.options.record_hidden {
-            let hidden =
-                partial::take_hidden(runs.len(), drawn.iter_mut().map(|b| (b.corner, &mut b.recorded)));
-            drawn.extend(self.draw_hidden(&jobs, hidden));
-        }
+        let hidden = partial::take_hidden(runs.len(), drawn.iter_mut().map(|b| (b.corner, &mut b.recorded)));
+        drawn.extend(self.draw_hidden(&jobs, hidden));
         self.stats.num_samples += drawn.iter().map(|block| block.num_samples).sum::<u64>();
         let recorded: Vec<_> = drawn.into_iter().map(|block| block.recorded).collect();
         let images = partial::assemble(self.scene.size, runs.len(), &recorded);
@@ -157,7 +151,7 @@ impl<'a> Frame<'a> {
         self.options.tile_edge.clamp(8, 1024).next_multiple_of(8)
     }
 
-    /// Records runs as if nothing were in front of them.
+    /// Records runs in tiles where all of them is hidden.
     ///
     /// * `hidden`: corners of tiles, and the run that is drawn there
     fn draw_hidden(&self, jobs: &[Job], hidden: Vec<([usize; 2], u32)>) -> Vec<PixelBlock> {

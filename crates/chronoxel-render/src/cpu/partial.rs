@@ -120,7 +120,9 @@ pub(super) struct Recorded {
     /// Of each packet that shows something, its run and its row and column among the packets of the picture.
     places: Vec<(u32, [u16; 2])>,
     packets: Vec<PacketPixels>,
-    /// Runs of which nothing could be seen behind what lies in front, and which were not drawn.
+    /// Runs of which some ray came through to them.
+    seen: Vec<u32>,
+    /// Runs of which none did, and which were not drawn.
     hidden: Vec<u32>,
 }
 
@@ -132,13 +134,13 @@ impl Recorded {
         self.packets.push(packet);
     }
 
-    /// Notes that a run was not drawn.
-    pub fn push_hidden(&mut self, run: u32) {
-        self.hidden.push(run);
+    /// Notes whether a run could be seen.
+    pub fn push_run(&mut self, run: u32, is_seen: bool) {
+        if is_seen { &mut self.seen } else { &mut self.hidden }.push(run);
     }
 }
 
-/// Takes, of runs that are seen in one tile, the others where they are hidden.
+/// Takes, of runs that are seen in some tile, the others where they are hidden: they are drawn there after all.
 ///
 /// * `recorded`: what each tile recorded
 pub(super) fn take_hidden<'a, T: Copy>(
@@ -148,7 +150,7 @@ pub(super) fn take_hidden<'a, T: Copy>(
     let recorded: Vec<_> = recorded.collect();
     let mut is_seen = vec![false; num_runs];
     for (_, tile) in &recorded {
-        tile.places.iter().for_each(|(run, _)| is_seen[*run as usize] = true);
+        tile.seen.iter().for_each(|run| is_seen[*run as usize] = true);
     }
     let mut taken = Vec::new();
     for (tile, of_tile) in recorded {
@@ -199,7 +201,7 @@ mod tests {
             tiles[[2, 0, 1, 1, 0][i]].push(1, [column, row], packet(i as f32 / 8.0));
         }
         tiles[1].push(2, [1, 1], packet(0.5));
-        tiles[2].push_hidden(2);
+        tiles[2].push_run(2, false);
         let images = assemble([39, 11], 3, &tiles);
         assert_eq!(images[0].as_ref().map(PartialImage::pixels), Some([[0, 0], [0, 0]]));
         assert_eq!(images[2], None);

@@ -90,8 +90,8 @@ impl Tile {
     /// before hides all of the run, notes that.
     pub fn record<'a>(&mut self, run: u32, jobs: impl Iterator<Item = &'a Job<'a>> + Clone) {
         let Some(is_seen) = self.sees_any(jobs.clone()) else { return };
+        self.recorded.push_run(run, is_seen);
         if !is_seen {
-            self.recorded.push_hidden(run);
             return;
         }
         self.front.clear();

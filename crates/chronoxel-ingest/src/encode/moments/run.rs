@@ -43,7 +43,7 @@ impl Known {
             (0, _) => f64::NAN,
             (_, true) => 0.0,
             // What changes is told from what does not, however little, and by samples that are left out.
-            (_, false) => self.errors.mean().max(f32::MIN_POSITIVE.into()),
+            (_, false) => self.errors.mean().max(f32::from_bits(1).into()),
         };
         NodeStatistics::of_span(&self.statistics, temporal_error, self.facts)
     }
@@ -189,5 +189,28 @@ impl Run {
             errors: ErrorSum { sum: number(4), count: u64_at(40) },
         };
         Some((Self { num_steps: u32_at(104), known, mask_hash: u128_at(16), held }, u32_at(112)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_comes_back_from_its_bytes_and_damage_shows() {
+        let facts = NodeFacts { is_uniform: false, is_static: true, is_masked: true, mask_changes: false };
+        let statistics = SpanStatistics { count: 1 << 40, min: -1.5, max: 7.25, mean: 0.1, std: 1e-300 };
+        let errors = ErrorSum { sum: 17.75, count: 999 };
+        let known = Known { statistics, facts, hash: u128::MAX / 3, errors };
+        for held in [Held::Alike([0.25, 1e308]), Held::Means, Held::Both] {
+            let run = Run { num_steps: 12, known, mask_hash: 1 << 100, held };
+            let bytes = run.to_bytes(0xdead_beef);
+            assert_eq!(Run::from_bytes(&bytes), Some((run, 0xdead_beef)));
+            for at in 0..RUN_BYTES {
+                let mut damaged = bytes;
+                damaged[at] ^= 0x10;
+                assert_eq!(Run::from_bytes(&damaged), None, "byte {at}");
+            }
+        }
     }
 }

@@ -176,3 +176,61 @@ impl Sums {
         ErrorSum { sum: self.sums.iter().sum(), count: self.counts.iter().sum::<f64>() as u64 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn merging(num_steps: [u32; 2], value_range: f64, magnitude: f64) -> Merging {
+        Merging { num_steps, value_range, magnitude }
+    }
+
+    #[test]
+    fn runs_of_different_lengths_merge_to_moments_of_all_steps() {
+        // Samples 1, 5, 3 and then 7: mean 4, deviation √5; with fewer samples than lanes, and more.
+        for num in [1, 7, 8, 19] {
+            let [mut means, mut deviations] = [vec![7.0f32; num], vec![0.0; num]];
+            let left = [vec![3.0f32; num], vec![(8.0f32 / 3.0).sqrt(); num]];
+            let errors = merging([3, 1], 6.0, 7.0).merge([&left[0], &left[1]], &mut means, &mut deviations);
+            assert_eq!(errors.count, num as u64);
+            assert!((errors.mean() - 5f64.sqrt() / 4.0).abs() < 1e-7, "{errors:?}");
+            assert!(
+                means.iter().all(|m| *m == 4.0) && deviations.iter().all(|d| (d - 5f32.sqrt()).abs() < 1e-6)
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_masked_at_some_step_stays_so_and_is_left_out() {
+        let nan = f64::NAN;
+        let left = [1.0, nan, 3.0, nan];
+        let [mut means, mut deviations] = [[3.0, 1.0, nan, nan], [0.0; 4]];
+        let errors = merging([1, 1], 2.0, 3.0).merge_means(&left, &mut means, &mut deviations);
+        assert_eq!(errors, ErrorSum { sum: 0.5, count: 1 });
+        let [mut after, mut none] = [[2.0; 4], [0.0; 4]];
+        let errors = merging([2, 1], 2.0, 3.0).merge([&means, &deviations], &mut after, &mut none);
+        // 1, 3, 2: mean 2, variance 2/3.
+        assert_eq!(errors.count, 1);
+        assert!((errors.sum - (2f64 / 3.0).sqrt() / 2.0).abs() < 1e-15);
+        assert!(after[0] == 2.0 && after[1..].iter().all(|v| v.is_nan()));
+    }
+
+    #[test]
+    fn the_ends_of_the_number_range_merge() {
+        for size in [f64::MAX, 1e300, 1.0, 1e-300] {
+            let [mut means, mut deviations] = [[-size; 2], [0.0; 2]];
+            let merge = merging([1, 1], size, size);
+            let errors = merge.merge_means(&[size; 2], &mut means, &mut deviations);
+            assert!((errors.mean() / 1000.0 - 1.0).abs() < 1e-15);
+            assert_eq!((means, deviations), ([0.0; 2], [size; 2]));
+            let errors = merge.merge([&[0.0; 2], &[size; 2]], &mut means, &mut deviations);
+            assert!(
+                (errors.mean() / 1000.0 - 1.0).abs() < 1e-15 && (deviations[0] / size - 1.0).abs() < 1e-15
+            );
+        }
+        // Without a range there is no guard; the ratio stays finite.
+        let [mut means, mut deviations] = [[-1e-320], [0.0]];
+        let errors = merging([1, 1], 0.0, 1.0).merge_means(&[1.0], &mut means, &mut deviations);
+        assert_eq!(errors.mean(), 1.0);
+    }
+}
