@@ -99,15 +99,15 @@ impl<'a, T: Real> Core<'a, T> {
         self.extent.iter().map(|n| n.div_ceil(stride)).product()
     }
 
-    /// Appends every `stride`-th sample along each axis to `out`.
-    pub(super) fn gather(&self, stride: usize, out: &mut Vec<T>) {
-        let [_, ny, _] = self.extent;
-        for (i, row) in self.rows().enumerate() {
-            if (i % ny).is_multiple_of(stride) && (i / ny).is_multiple_of(stride) {
-                match stride {
-                    1 => out.extend_from_slice(row),
-                    _ => out.extend(row.iter().copied().step_by(stride)),
-                }
+    /// Copies every `stride`-th sample along each axis.
+    pub(super) fn gather(&self, stride: usize, out: &mut [T]) {
+        let [nx, ny, _] = self.extent;
+        let is_taken = |row: usize| (row % ny).is_multiple_of(stride) && (row / ny).is_multiple_of(stride);
+        let rows = self.rows().enumerate().filter(|(i, _)| is_taken(*i)).map(|(_, row)| row);
+        for (out, row) in out.chunks_mut(nx.div_ceil(stride)).zip(rows) {
+            match stride {
+                1 => out.copy_from_slice(row),
+                _ => out.iter_mut().zip(row.iter().step_by(stride)).for_each(|(out, v)| *out = *v),
             }
         }
     }

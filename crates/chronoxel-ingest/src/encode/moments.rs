@@ -27,7 +27,7 @@ use super::variable::Places;
 use crate::EncodeError;
 use carried::{Carried, KEPT_FROM, ShortRuns};
 use run::{Held, Known, Run};
-use samples::Merging;
+use samples::{ErrorSum, Merging};
 
 /// Statistics go on from a multiple of so many steps after an interruption.
 pub const KEPT_STEPS: u32 = 1 << KEPT_FROM;
@@ -38,7 +38,7 @@ pub fn first_step(num_committed: u32, num_steps: u32) -> u32 {
 }
 
 /// Bytes of memory that each finest node takes: while it waits, for each variable.
-pub const WAITING_BYTES: u64 = size_of::<Node>() as u64;
+pub const WAITING_BYTES: u64 = size_of::<Node<f64>>() as u64;
 
 /// Bytes that all nodes take while a step is merged and put, in units of finest nodes.
 ///
@@ -64,38 +64,41 @@ pub struct TimeMoments<T> {
     variable: usize,
     /// The first step that statistics go on from: those before have theirs.
     first: u32,
-    nodes: Vec<Mutex<Node>>,
+    nodes: Vec<Mutex<Node<T>>>,
     carried: Carried,
     /// Those that no thread uses.
     buffers: Mutex<Vec<Buffers<T>>>,
 }
 
 /// A finest brick, between steps and while one streams past.
-#[derive(Default)]
-struct Node {
-    short: ShortRuns,
+struct Node<T> {
+    short: ShortRuns<T>,
     /// What the step closes, by time level.
     closed: Vec<Known>,
 }
 
-/// Means, then deviations.
+/// Means, then deviations, of two runs.
 struct Buffers<T> {
     left: Vec<T>,
+    /// Of the run that ends with the step.
     right: Vec<T>,
 }
 
 impl<T: Real> TimeMoments<T> {
     /// Of variable `variable` of a store, from step `first` on, which [`first_step`] gives.
+    ///
+    /// * `in_memory`: whether there is memory for [`Self::short_bytes`]
     pub fn new(
         variable: usize,
         places: &Places<'_>,
         first: u32,
+        in_memory: bool,
         writer: &StoreWriter,
     ) -> Result<Self, EncodeError> {
         let Places { tree, layout, stride, num_steps, folder, .. } = *places;
         let num_nodes = tree.nodes(0).len();
         let block_bytes = (2 * samples_of_brick(layout, stride) * size_of::<T>()) as u64;
-        let mut carried = Carried::new(variable, num_nodes, block_bytes, folder)?;
+        let mut carried = Carried::new(variable, num_nodes, block_bytes, folder, in_memory)?;
         if first < num_steps {
             carried.reopen(first, writer)?;
         }
@@ -105,10 +108,19 @@ impl<T: Real> TimeMoments<T> {
             stride: stride as usize,
             variable,
             first,
-            nodes: (0..num_nodes).map(|_| Mutex::default()).collect(),
+            nodes: (0..num_nodes)
+                .map(|_| Mutex::new(Node { short: ShortRuns::default(), closed: Vec::new() }))
+                .collect(),
             carried,
             buffers: Mutex::default(),
         })
+    }
+
+    /// Bytes of the samples of short runs, at most.
+    pub fn short_bytes(places: &Places<'_>) -> u64 {
+        let samples = 2 * samples_of_brick(places.layout, places.stride) as u64;
+        let num_nodes = places.tree.nodes(0).len() as u64;
+        u64::from(KEPT_FROM) * num_nodes * samples * size_of::<T>() as u64
     }
 
     /// The run that waits once a step is read; none after the last.
@@ -135,9 +147,13 @@ impl<T: Real> TimeMoments<T> {
         let free = self.buffers.lock().expect("no one panics while holding buffers").pop();
         let mut buffers = free.unwrap_or(Buffers { left: Vec::new(), right: Vec::new() });
         let rank = brick.rank as usize;
+        let core = Core::new(brick.samples, brick.brick, brick.geometry, &self.layout);
+        let num_samples = core.num_strided(self.stride);
         let mut node = self.nodes[rank].lock().expect("no one panics while holding a node");
-        let mut merger = Merger { moments: self, rank, value_range, num_samples: 0, buffers: &mut buffers };
-        let taken = merger.take(brick, step, &mut node);
+        let Node { short, closed } = &mut *node;
+        let mut merger =
+            Merger { moments: self, rank, value_range, num_samples, buffers: &mut buffers, short };
+        let taken = merger.take(brick, &core, step, closed);
         self.buffers.lock().expect("no one panics while holding buffers").push(buffers);
         taken
     }
@@ -171,32 +187,32 @@ struct Merger<'a, T> {
     value_range: f64,
     /// Samples of the brick that take part.
     num_samples: usize,
-    /// `right`: of the run that ends with the step.
     buffers: &'a mut Buffers<T>,
+    short: &'a mut ShortRuns<T>,
 }
 
 impl<T: Real> Merger<'_, T> {
-    fn take(&mut self, brick: &CutBrick<'_, T>, step: u32, node: &mut Node) -> Result<(), EncodeError> {
+    fn take(
+        &mut self,
+        brick: &CutBrick<'_, T>,
+        core: &Core<'_, T>,
+        step: u32,
+        closed: &mut Vec<Known>,
+    ) -> Result<(), EncodeError> {
         let moments = self.moments;
-        let mut run = self.run_of_step(brick);
+        let mut run = self.run_of_step(brick, core);
         let mut last = TimeNode::of_step(step);
         for at in TimeNode::closed_by(step, moments.num_steps) {
             // Where the series ends with the first half, the whole is the same.
             if at.level > 0 && last.index % 2 == 1 {
-                let [left, _] = at.halves();
-                let (earlier, crc) = moments.carried.run(left, self.rank, &mut node.short)?;
-                run = self.merged(left, &earlier, crc, &run)?;
+                run = self.merged(at.halves()[0], &run)?;
             }
-            node.closed.push(run.known);
+            closed.push(run.known);
             last = at;
         }
-        match moments.waiting(step) {
-            Some(at) => {
-                let len = self.num_held(run.held);
-                moments.carried.store(at, self.rank, run, &self.buffers.right[..len], &mut node.short)
-            }
-            None => Ok(()),
-        }
+        let Some(at) = moments.waiting(step) else { return Ok(()) };
+        let len = self.num_held(run.held);
+        moments.carried.store(at, self.rank, run, (&mut self.buffers.right, len), self.short)
     }
 
     fn num_held(&self, held: Held) -> usize {
@@ -207,30 +223,23 @@ impl<T: Real> Merger<'_, T> {
         }
     }
 
-    fn run_of_step(&mut self, brick: &CutBrick<'_, T>) -> Run {
-        let core = Core::new(brick.samples, brick.brick, brick.geometry, &self.moments.layout);
-        self.num_samples = core.num_strided(self.moments.stride);
-        let mut run = Run::of_step(brick.samples, &brick.analysis, self.num_samples as u64);
-        if run.held != Held::Means {
-            return run;
-        }
-        let means = &mut self.buffers.right;
-        means.clear();
-        core.gather(self.moments.stride, means);
-        if brick.analysis.num_masked > 0 {
-            run.known.errors.count = means.iter().filter(|v| !v.is_masked()).count() as u64;
+    fn run_of_step(&mut self, brick: &CutBrick<'_, T>, core: &Core<'_, T>) -> Run {
+        let num = self.num_samples;
+        let mut run = Run::of_step(brick.samples, &brick.analysis, num as u64);
+        if run.held == Held::Means {
+            self.buffers.right.resize(2 * num, T::SMALLEST);
+            let means = &mut self.buffers.right[..num];
+            core.gather(self.moments.stride, means);
+            if brick.analysis.num_masked > 0 {
+                run.known.errors.count = means.iter().filter(|v| !v.is_masked()).count() as u64;
+            }
         }
         run
     }
 
-    /// The run of both; `buffers.right` follows.
-    fn merged(
-        &mut self,
-        left: TimeNode,
-        earlier: &Run,
-        crc: Option<u32>,
-        later: &Run,
-    ) -> Result<Run, EncodeError> {
+    /// The run that waits and the one that follows it, as one; `buffers.right` goes from the latter's samples to those of both.
+    fn merged(&mut self, left: TimeNode, later: &Run) -> Result<Run, EncodeError> {
+        let (earlier, crc) = self.moments.carried.run(left, self.rank, self.short)?;
         let mut merged = earlier.followed_by(later);
         if merged.known.facts.is_static {
             return Ok(merged);
@@ -238,44 +247,54 @@ impl<T: Real> Merger<'_, T> {
         let merging = Merging {
             num_steps: [earlier.num_steps, later.num_steps],
             value_range: self.value_range,
+            is_masked: merged.known.facts.is_masked,
             magnitude: merged.magnitude(),
         };
-        if let (Held::Alike(a), Held::Alike(b)) = (earlier.held, later.held) {
-            let [mean, deviation] = a.map(T::from_f64);
-            let [mut means, mut deviations] = b.map(|v| [T::from_f64(v)]);
-            let errors = merging.merge([&[mean], &[deviation]], &mut means, &mut deviations);
-            merged.known.errors = errors.times(self.num_samples as u64);
-            merged.held = Held::Alike([means[0].to_f64(), deviations[0].to_f64()]);
-            return Ok(merged);
-        }
-        self.load(left, earlier.held, crc)?;
-        let num = self.num_samples;
-        spread(later.held, &mut self.buffers.right, num);
-        let (left_means, left_deviations) = self.buffers.left.split_at(num);
-        let (means, deviations) = self.buffers.right.split_at_mut(num);
-        merged.known.errors = match (earlier.held, later.held) {
-            (Held::Means, Held::Means) => merging.merge_means(left_means, means, deviations),
-            _ => merging.merge([left_means, left_deviations], means, deviations),
+        (merged.known.errors, merged.held) = match (earlier.held, later.held) {
+            (Held::Alike(a), Held::Alike(b)) => {
+                let [mean, deviation] = a.map(T::from_f64);
+                let [mut means, mut deviations] = b.map(|v| [T::from_f64(v)]);
+                let errors = merging.merge([&[mean], &[deviation]], &mut means, &mut deviations);
+                let both = [means[0].to_f64(), deviations[0].to_f64()];
+                (errors.times(self.num_samples as u64), Held::Alike(both))
+            }
+            (a, b) => {
+                self.load(left, a, crc)?;
+                (self.merge_samples(&merging, [a, b]), Held::Both)
+            }
         };
-        merged.held = Held::Both;
         Ok(merged)
     }
 
     fn load(&mut self, left: TimeNode, held: Held, crc: Option<u32>) -> Result<(), EncodeError> {
         let len = self.num_held(held);
-        let Self { moments, rank, buffers, num_samples, .. } = self;
-        buffers.left.resize(2 * *num_samples, T::from_f64(0.0));
-        if len > 0 {
-            moments.carried.load(left, *rank, crc, &mut buffers.left[..len])?;
+        let samples = &mut self.buffers.left;
+        samples.resize(2 * self.num_samples, T::SMALLEST);
+        match len {
+            0 => Ok(()),
+            _ => self.moments.carried.load(left, self.rank, crc, (samples, len), self.short),
         }
-        spread(held, &mut buffers.left, *num_samples);
-        Ok(())
+    }
+
+    fn merge_samples(&mut self, merging: &Merging, [left, right]: [Held; 2]) -> ErrorSum {
+        let num = self.num_samples;
+        let both_steady = left == Held::Means && right == Held::Means;
+        self.buffers.right.resize(2 * num, T::SMALLEST);
+        if !both_steady {
+            spread(left, &mut self.buffers.left, num);
+            spread(right, &mut self.buffers.right, num);
+        }
+        let (left_means, left_deviations) = self.buffers.left.split_at(num);
+        let (means, deviations) = self.buffers.right.split_at_mut(num);
+        match both_steady {
+            true => merging.merge_means(left_means, means, deviations),
+            false => merging.merge([left_means, left_deviations], means, deviations),
+        }
     }
 }
 
 /// Writes out what is held in fewer numbers.
-fn spread<T: Real>(held: Held, samples: &mut Vec<T>, num: usize) {
-    samples.resize(2 * num, T::from_f64(0.0));
+fn spread<T: Real>(held: Held, samples: &mut [T], num: usize) {
     let (means, deviations) = samples.split_at_mut(num);
     match held {
         Held::Alike([mean, deviation]) => {

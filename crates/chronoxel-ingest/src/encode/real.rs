@@ -10,6 +10,8 @@ pub trait Real: SampleValue + Pod {
     const MASKED: Self;
     /// The largest finite value.
     const LARGEST: Self;
+    /// The smallest above 0 that is not denormal.
+    const SMALLEST: Self;
     /// Above every sample: where a search for the smallest begins.
     const INFINITE: Self;
 
@@ -27,6 +29,18 @@ pub trait Real: SampleValue + Pod {
     fn plus(self, other: Self) -> Self;
     /// The difference.
     fn minus(self, other: Self) -> Self;
+    /// The product.
+    fn times(self, other: Self) -> Self;
+    /// The quotient.
+    fn over(self, other: Self) -> Self;
+    /// The square root.
+    fn root(self) -> Self;
+    /// Without its sign.
+    fn magnitude(self) -> Self;
+    /// The smaller one; the first where that is NaN.
+    fn at_most(self, most: Self) -> Self;
+    /// The larger one; `least` where the first is NaN.
+    fn at_least(self, least: Self) -> Self;
     /// Equal bit by bit: tells the two zeros apart.
     fn same_bits(self, other: Self) -> bool;
     /// `(low + 2 middle + high) / 4`, exact where all three are equal, and never overflowing.
@@ -44,6 +58,7 @@ macro_rules! real {
         impl Real for $type {
             const MASKED: Self = $type::NAN;
             const LARGEST: Self = $type::MAX;
+            const SMALLEST: Self = $type::MIN_POSITIVE;
             const INFINITE: Self = $type::INFINITY;
 
             fn from_samples(samples: Samples) -> Option<Vec<Self>> {
@@ -81,6 +96,36 @@ macro_rules! real {
             #[inline(always)]
             fn minus(self, other: Self) -> Self {
                 self - other
+            }
+
+            #[inline(always)]
+            fn times(self, other: Self) -> Self {
+                self * other
+            }
+
+            #[inline(always)]
+            fn over(self, other: Self) -> Self {
+                self / other
+            }
+
+            #[inline(always)]
+            fn root(self) -> Self {
+                self.sqrt()
+            }
+
+            #[inline(always)]
+            fn magnitude(self) -> Self {
+                self.abs()
+            }
+
+            #[inline(always)]
+            fn at_most(self, most: Self) -> Self {
+                if most < self { most } else { self }
+            }
+
+            #[inline(always)]
+            fn at_least(self, least: Self) -> Self {
+                if self > least { self } else { least }
             }
 
             #[inline(always)]

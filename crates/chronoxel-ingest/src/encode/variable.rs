@@ -221,6 +221,12 @@ impl<T: Real> Open<T> {
         first: u32,
         writer: &StoreWriter,
     ) -> Result<Self, EncodeError> {
+        // Half of the memory, if that is enough.
+        let moments_bytes = TimeMoments::<T>::short_bytes(places);
+        let in_memory = moments_bytes <= places.scratch_bytes / 2;
+        let moments = TimeMoments::new(variable, places, first, in_memory, writer)?;
+        let left = places.scratch_bytes - if in_memory { moments_bytes } else { 0 };
+        let places = &Places { scratch_bytes: left, ..*places };
         let windows = match coding.how {
             How::Steps { .. } => None,
             How::Windows { window, .. } => {
@@ -228,7 +234,7 @@ impl<T: Real> Open<T> {
                 Some(OpenWindows::new(timing, places, spending)?)
             }
         };
-        Ok(Self { windows, moments: TimeMoments::new(variable, places, first, writer)? })
+        Ok(Self { windows, moments })
     }
 }
 

@@ -1,8 +1,8 @@
 //! Where the finest bricks wait, as runs of steps, for the runs that they will be merged with.
 //!
 //! Of each level of the time tree one run waits at most, and every brick has its own place in the files: bricks are written
-//! and read in parallel. Short runs are in a nameless file, gone with the program. Long ones are what a resume goes on from,
-//! and are in files that the journal keeps, everything under a checksum.
+//! and read in parallel. Short runs are in memory where it suffices, else in a nameless file, gone with the program. Long ones are
+//! what a resume goes on from, and are in files that the journal keeps, everything under a checksum.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,7 +20,17 @@ use crate::EncodeError;
 pub const KEPT_FROM: u8 = 3;
 
 /// Short runs of a brick that wait, by time level.
-pub type ShortRuns = [Option<Run>; KEPT_FROM as usize];
+pub struct ShortRuns<T> {
+    runs: [Option<Run>; KEPT_FROM as usize],
+    /// Where they wait in memory: buffers that change places with those that threads use.
+    samples: [Vec<T>; KEPT_FROM as usize],
+}
+
+impl<T> Default for ShortRuns<T> {
+    fn default() -> Self {
+        Self { runs: Default::default(), samples: Default::default() }
+    }
+}
 
 /// The files of one variable.
 pub struct Carried {
@@ -28,7 +38,8 @@ pub struct Carried {
     num_nodes: u64,
     /// Bytes of the means and deviations of a whole brick.
     block_bytes: u64,
-    short: File,
+    /// `None` where short runs wait in memory.
+    short: Option<File>,
     /// By time level: the run that waits.
     kept: BTreeMap<u8, (TimeNode, File)>,
     folder: PathBuf,
@@ -36,11 +47,14 @@ pub struct Carried {
 
 impl Carried {
     /// Of which nothing waits yet.
+    ///
+    /// * `in_memory`: whether short runs wait there
     pub fn new(
         variable: usize,
         num_nodes: usize,
         block_bytes: u64,
         folder: &Path,
+        in_memory: bool,
     ) -> Result<Self, EncodeError> {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let failed = |source| EncodeError::Scratch { folder: folder.to_owned(), source };
@@ -48,7 +62,7 @@ impl Carried {
             variable,
             num_nodes: num_nodes as u64,
             block_bytes,
-            short: tempfile::tempfile_in(folder).map_err(failed)?,
+            short: (!in_memory).then(|| tempfile::tempfile_in(folder).map_err(failed)).transpose()?,
             kept: BTreeMap::new(),
             folder: folder.to_owned(),
         })
@@ -107,21 +121,30 @@ impl Carried {
 
     /// Lets a brick wait.
     ///
-    /// * `samples`: what it holds of them
+    /// * `samples`: what it holds of them is the first `len`; where it waits in memory they change places
     pub fn store<T: Real>(
         &self,
         at: TimeNode,
         rank: usize,
         run: Run,
-        samples: &[T],
-        short: &mut ShortRuns,
+        (samples, len): (&mut Vec<T>, usize),
+        short: &mut ShortRuns<T>,
     ) -> Result<(), EncodeError> {
         let offset = self.offset(at, rank);
         if at.level < KEPT_FROM {
-            short[usize::from(at.level)] = Some(run);
-            return write_samples(&self.short, samples, offset).map_err(self.failed());
+            let level = usize::from(at.level);
+            short.runs[level] = Some(run);
+            return match &self.short {
+                Some(file) => write_samples(file, &samples[..len], offset).map_err(self.failed()),
+                None if len > 0 => {
+                    std::mem::swap(samples, &mut short.samples[level]);
+                    Ok(())
+                }
+                None => Ok(()),
+            };
         }
         let file = self.kept(at);
+        let samples = &samples[..len];
         let bytes = run.to_bytes(crc32c::crc32c(bytemuck::cast_slice(samples)));
         write_at(file, &bytes, (rank * RUN_BYTES) as u64)
             .and_then(|()| write_samples(file, samples, offset))
@@ -129,14 +152,14 @@ impl Carried {
     }
 
     /// A brick that waits, without its samples; and their checksum, where there is one.
-    pub fn run(
+    pub fn run<T>(
         &self,
         at: TimeNode,
         rank: usize,
-        short: &mut ShortRuns,
+        short: &mut ShortRuns<T>,
     ) -> Result<(Run, Option<u32>), EncodeError> {
         if at.level < KEPT_FROM {
-            let run = short[usize::from(at.level)].take().expect("every brick waits for its other half");
+            let run = short.runs[usize::from(at.level)].take().expect("every brick waits for its other half");
             return Ok((run, None));
         }
         let mut bytes = [0; RUN_BYTES];
@@ -147,18 +170,26 @@ impl Carried {
         }
     }
 
-    /// Its samples.
+    /// The first `len` of its samples, more than none.
+    ///
+    /// * `samples`: as long as the means and deviations of the brick
     pub fn load<T: Real>(
         &self,
         at: TimeNode,
         rank: usize,
         crc: Option<u32>,
-        samples: &mut [T],
+        (samples, len): (&mut Vec<T>, usize),
+        short: &mut ShortRuns<T>,
     ) -> Result<(), EncodeError> {
         let offset = self.offset(at, rank);
         let Some(crc) = crc else {
-            return read_samples(&self.short, samples, offset).map_err(self.failed());
+            match &self.short {
+                Some(file) => read_samples(file, &mut samples[..len], offset).map_err(self.failed())?,
+                None => std::mem::swap(samples, &mut short.samples[usize::from(at.level)]),
+            }
+            return Ok(());
         };
+        let samples = &mut samples[..len];
         read_samples(self.kept(at), samples, offset).map_err(self.unreadable(at))?;
         match crc32c::crc32c(bytemuck::cast_slice(samples)) == crc {
             true => Ok(()),

@@ -1,9 +1,10 @@
 //! Means and deviations of samples through time, and the coefficients of variation that follow from them.
 //!
-//! Runs of steps are merged by Chan's formulas, sample by sample, in `f64`. A sample that is masked at some step of a run has
-//! NaN for both and is left out of the sums.
+//! Runs of steps are merged by Chan's formulas, sample by sample, in the precision of the samples: both are held in it, so that
+//! more on the way would not last. Sums over samples are taken in `f64`. A sample that is masked at some step of a run has NaN
+//! for both and is left out of the sums.
 
-use chronoxel_core::time_tree::guarded_ratio;
+use chronoxel_core::time_tree::LEAST_MEAN;
 
 use super::super::real::Real;
 
@@ -43,37 +44,49 @@ pub struct Merging {
     pub num_steps: [u32; 2],
     /// Largest minus smallest value of the variable, for the guard of small means.
     pub value_range: f64,
+    /// Whether samples may be NaN.
+    pub is_masked: bool,
     /// Largest magnitude of a sample: squares are taken in a unit that keeps them within the number range.
     pub magnitude: f64,
 }
 
-/// Weights of the formulas.
-struct Weights {
-    left: f64,
-    right: f64,
+/// What the formulas weigh with, in the precision of the samples.
+struct Weights<T> {
+    half: T,
+    left: T,
+    right: T,
     /// Twice the right one, for half the difference of the means; at most 1, so that nothing overflows.
-    twice_right: f64,
-    /// 4 · left · right, for the square of half the difference.
-    apart: f64,
+    twice_right: T,
+    /// 4 · left · right, for the square of half the difference; and its root.
+    apart: T,
+    apart_root: T,
     /// A power of two, and its inverse.
-    unit: f64,
-    per_unit: f64,
+    unit: T,
+    per_unit: T,
+    /// The least denominator.
+    least_mean: T,
 }
 
 impl Merging {
-    fn weights(&self) -> Weights {
+    fn weights<T: Real>(&self) -> Weights<T> {
         let [left, right] = self.num_steps.map(f64::from);
         let all = left + right;
+        let apart = 4.0 * left * right / (all * all);
         let exponent = if self.magnitude > 0.0 { self.magnitude.log2().floor() } else { 0.0 };
-        // Squares of magnitudes within 2^±300 are far from either end.
-        let shift = if exponent.abs() > 300.0 { exponent.clamp(-1000.0, 1000.0) as i32 } else { 0 };
+        // Near 1, squares are far from either end of the number range.
+        let (near, most) = if size_of::<T>() == 4 { (30.0, 120.0) } else { (300.0, 1000.0) };
+        let shift = if exponent.abs() > near { exponent.clamp(-most, most) as i32 } else { 0 };
         Weights {
-            left: left / all,
-            right: right / all,
-            twice_right: 2.0 * right / all,
-            apart: 4.0 * left * right / (all * all),
-            unit: 2f64.powi(shift),
-            per_unit: 2f64.powi(-shift),
+            half: T::from_f64(0.5),
+            left: T::from_f64(left / all),
+            right: T::from_f64(right / all),
+            twice_right: T::from_f64(2.0 * right / all),
+            apart: T::from_f64(apart),
+            apart_root: T::from_f64(apart.sqrt()),
+            unit: T::from_f64(2f64.powi(shift)),
+            per_unit: T::from_f64(2f64.powi(-shift)),
+            // Above 0, so that nothing over nothing is nothing.
+            least_mean: T::from_f64(LEAST_MEAN * self.value_range).at_most(T::LARGEST).at_least(T::SMALLEST),
         }
     }
 
@@ -84,27 +97,10 @@ impl Merging {
     /// * `deviations`: replaced by those of both
     pub fn merge_means<T: Real>(&self, left: &[T], means: &mut [T], deviations: &mut [T]) -> ErrorSum {
         let weights = self.weights();
-        let apart = weights.apart.sqrt();
-        let (left, left_rest) = left.as_chunks::<LANES>();
-        let (means, means_rest) = means.as_chunks_mut::<LANES>();
-        let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
-        let mut sums = Sums::new(self);
-        let mut take = |lane: usize, left: T, mean: &mut T, deviation: &mut T| {
-            let half_apart = 0.5 * mean.to_f64() - 0.5 * left.to_f64();
-            let merged = [left.to_f64() + weights.twice_right * half_apart, apart * half_apart.abs()];
-            sums.take(lane, merged);
-            [*mean, *deviation] = merged.map(T::from_f64);
-        };
-        for ((left, mean), deviation) in left.iter().zip(means).zip(deviations) {
-            for lane in 0..LANES {
-                take(lane, left[lane], &mut mean[lane], &mut deviation[lane]);
-            }
+        match self.is_masked {
+            false => merge_means::<T, false>(&weights, left, means, deviations),
+            true => merge_means::<T, true>(&weights, left, means, deviations),
         }
-        let rest = left_rest.iter().zip(means_rest).zip(deviations_rest);
-        for (lane, ((&left, mean), deviation)) in rest.enumerate() {
-            take(lane, left, mean, deviation);
-        }
-        sums.total()
     }
 
     /// Merges two runs.
@@ -113,63 +109,109 @@ impl Merging {
     /// * `means`, `deviations`: of the second, replaced by those of both
     pub fn merge<T: Real>(&self, left: [&[T]; 2], means: &mut [T], deviations: &mut [T]) -> ErrorSum {
         let weights = self.weights();
-        let [(left_means, means_left), (left_deviations, deviations_left)] =
-            left.map(|v| v.as_chunks::<LANES>());
-        let (means, means_rest) = means.as_chunks_mut::<LANES>();
-        let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
-        let mut sums = Sums::new(self);
-        let mut take = |lane: usize, left: [T; 2], mean: &mut T, deviation: &mut T| {
-            let merged = weights.merged(left.map(T::to_f64), [mean.to_f64(), deviation.to_f64()]);
-            sums.take(lane, merged);
-            [*mean, *deviation] = merged.map(T::from_f64);
-        };
-        let left = left_means.iter().zip(left_deviations);
-        for ((left, mean), deviation) in left.zip(means).zip(deviations) {
-            for lane in 0..LANES {
-                take(lane, [left.0[lane], left.1[lane]], &mut mean[lane], &mut deviation[lane]);
-            }
+        match self.is_masked {
+            false => merge_both::<T, false>(&weights, left, means, deviations),
+            true => merge_both::<T, true>(&weights, left, means, deviations),
         }
-        let left = means_left.iter().zip(deviations_left);
-        for (lane, ((left, mean), deviation)) in left.zip(means_rest).zip(deviations_rest).enumerate() {
-            take(lane, [*left.0, *left.1], mean, deviation);
-        }
-        sums.total()
     }
 }
 
-impl Weights {
-    /// Mean and deviation of both runs of a sample.
+fn merge_means<T: Real, const MASKED: bool>(
+    weights: &Weights<T>,
+    left: &[T],
+    means: &mut [T],
+    deviations: &mut [T],
+) -> ErrorSum {
+    let mut sums = Sums::<MASKED>::default();
+    let (left, left_rest) = left.as_chunks::<LANES>();
+    let (means, means_rest) = means.as_chunks_mut::<LANES>();
+    let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
+    for ((left, mean), deviation) in left.iter().zip(means).zip(deviations) {
+        for lane in 0..LANES {
+            [mean[lane], deviation[lane]] = weights.of_means(left[lane], mean[lane]);
+            sums.take(lane, mean[lane], weights.ratio(mean[lane], deviation[lane]));
+        }
+    }
+    let rest = left_rest.iter().zip(means_rest).zip(deviations_rest);
+    for (lane, ((&left, mean), deviation)) in rest.enumerate() {
+        [*mean, *deviation] = weights.of_means(left, *mean);
+        sums.take(lane, *mean, weights.ratio(*mean, *deviation));
+    }
+    sums.total()
+}
+
+fn merge_both<T: Real, const MASKED: bool>(
+    weights: &Weights<T>,
+    left: [&[T]; 2],
+    means: &mut [T],
+    deviations: &mut [T],
+) -> ErrorSum {
+    let mut sums = Sums::<MASKED>::default();
+    let [(left_means, means_left), (left_deviations, deviations_left)] = left.map(|v| v.as_chunks::<LANES>());
+    let (means, means_rest) = means.as_chunks_mut::<LANES>();
+    let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
+    let left = left_means.iter().zip(left_deviations);
+    for ((left, mean), deviation) in left.zip(means).zip(deviations) {
+        for lane in 0..LANES {
+            let (earlier, later) = ([left.0[lane], left.1[lane]], [mean[lane], deviation[lane]]);
+            [mean[lane], deviation[lane]] = weights.of_both(earlier, later);
+            sums.take(lane, mean[lane], weights.ratio(mean[lane], deviation[lane]));
+        }
+    }
+    let left = means_left.iter().zip(deviations_left);
+    for (lane, ((left, mean), deviation)) in left.zip(means_rest).zip(deviations_rest).enumerate() {
+        [*mean, *deviation] = weights.of_both([*left.0, *left.1], [*mean, *deviation]);
+        sums.take(lane, *mean, weights.ratio(*mean, *deviation));
+    }
+    sums.total()
+}
+
+impl<T: Real> Weights<T> {
     #[inline(always)]
-    fn merged(&self, left: [f64; 2], right: [f64; 2]) -> [f64; 2] {
-        let half_apart = 0.5 * right[0] - 0.5 * left[0];
-        let square = |v: f64| (v * self.per_unit) * (v * self.per_unit);
-        let variance =
-            self.left * square(left[1]) + self.right * square(right[1]) + self.apart * square(half_apart);
-        let deviation = variance.sqrt() * self.unit;
-        // Rounding may leave the number range; NaN stays.
-        let deviation = if deviation > f64::MAX { f64::MAX } else { deviation };
-        [left[0] + self.twice_right * half_apart, deviation]
+    fn half_apart(&self, left: T, right: T) -> T {
+        self.half.times(right).minus(self.half.times(left))
+    }
+
+    /// Mean and deviation of a sample over two runs in which it does not change.
+    #[inline(always)]
+    fn of_means(&self, left: T, right: T) -> [T; 2] {
+        let half_apart = self.half_apart(left, right);
+        let mean = left.plus(self.twice_right.times(half_apart));
+        [mean, self.apart_root.times(half_apart.magnitude())]
+    }
+
+    /// Mean and deviation of a sample over two runs.
+    #[inline(always)]
+    fn of_both(&self, left: [T; 2], right: [T; 2]) -> [T; 2] {
+        let half_apart = self.half_apart(left[0], right[0]);
+        let square = |v: T| v.times(self.per_unit).times(v.times(self.per_unit));
+        let within = self.left.times(square(left[1])).plus(self.right.times(square(right[1])));
+        let variance = within.plus(self.apart.times(square(half_apart)));
+        // Rounding may leave the number range.
+        let deviation = variance.root().times(self.unit).at_most(T::LARGEST);
+        [left[0].plus(self.twice_right.times(half_apart)), deviation]
+    }
+
+    /// [`chronoxel_core::time_tree::guarded_ratio`] in the precision of the samples.
+    #[inline(always)]
+    fn ratio(&self, mean: T, deviation: T) -> T {
+        deviation.over(mean.magnitude().at_least(self.least_mean)).at_most(T::LARGEST)
     }
 }
 
 /// Sums of coefficients of variation by lane.
-struct Sums {
-    value_range: f64,
+#[derive(Default)]
+struct Sums<const MASKED: bool> {
     sums: [f64; LANES],
     counts: [f64; LANES],
 }
 
-impl Sums {
-    fn new(merging: &Merging) -> Self {
-        Self { value_range: merging.value_range, sums: [0.0; LANES], counts: [0.0; LANES] }
-    }
-
+impl<const MASKED: bool> Sums<MASKED> {
     #[inline(always)]
-    fn take(&mut self, lane: usize, [mean, deviation]: [f64; 2]) {
-        let ratio = guarded_ratio(deviation, mean, self.value_range);
-        let (ratio, one) = if mean.is_nan() { (0.0, 0.0) } else { (ratio, 1.0) };
-        self.sums[lane] += ratio;
-        self.counts[lane] += one;
+    fn take<T: Real>(&mut self, lane: usize, mean: T, ratio: T) {
+        let is_left_out = MASKED && mean.is_masked();
+        self.sums[lane] += if is_left_out { 0.0 } else { ratio.to_f64() };
+        self.counts[lane] += if is_left_out { 0.0 } else { 1.0 };
     }
 
     fn total(&self) -> ErrorSum {
@@ -180,9 +222,10 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use chronoxel_core::time_tree::guarded_ratio;
 
     fn merging(num_steps: [u32; 2], value_range: f64, magnitude: f64) -> Merging {
-        Merging { num_steps, value_range, magnitude }
+        Merging { num_steps, value_range, is_masked: true, magnitude }
     }
 
     #[test]
@@ -197,6 +240,21 @@ mod tests {
             assert!(
                 means.iter().all(|m| *m == 4.0) && deviations.iter().all(|d| (d - 5f32.sqrt()).abs() < 1e-6)
             );
+        }
+    }
+
+    #[test]
+    fn ratios_are_those_of_the_guarded_formula_in_either_precision() {
+        for (mean, deviation) in [(2.0, 0.5), (-0.7, 3.0), (0.0, 0.5), (1e-4, 0.25), (0.0, 0.0)] {
+            for value_range in [0.0, 10.0] {
+                let expected = guarded_ratio(deviation, mean, value_range);
+                let merge = merging([1, 1], value_range, 1.0);
+                let single = merge.weights::<f32>().ratio(mean as f32, deviation as f32);
+                let double = merge.weights::<f64>().ratio(mean, deviation);
+                assert!((double - expected).abs() <= 1e-15 * expected, "{double} {expected}");
+                let expected = expected.min(f32::MAX.into());
+                assert!((f64::from(single) - expected).abs() <= 2e-7 * expected, "{single} {expected}");
+            }
         }
     }
 
