@@ -254,7 +254,7 @@ fn statistics_that_contradict_each_other_are_refused() {
         (Edit(1, 1, 0, 5, 0.0), "temporal_error is not that of facts"),
         (Edit(1, 0, 0, 0, -9.0), "of the halves of the steps"),
         (Edit(2, 0, 2, 1, 600.0), "max 600 are not"),
-        (Edit(1, 0, 2, 2, 400.0), "mean 400 is not within"),
+        (Edit(1, 0, 2, 2, 250.0), "mean 250 is not within"),
         (Edit(2, 0, 2, 3, 0.0), "std 0 is less than"),
         (Edit(0, 3, 1, 5, 0.0), "they lie after the series"),
     ] {
