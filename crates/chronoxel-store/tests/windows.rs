@@ -12,11 +12,13 @@ use chronoxel_codec::{
     Indices, Payload, PayloadClass, Stage, StageClass, Table, TableClass, decoded_range, stage_to_bytes,
 };
 use chronoxel_core::{
-    BitMask, BrickLayout, NodeId, Octree, SampleType, SpanKind, SpanRecord, SpanStatistics, TimeAxis,
-    UniformGrid, octree::levels_of,
+    BitMask, BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, SampleType, SpanKind, SpanRecord,
+    SpanStatistics, TimeAxis, TimeNode, UniformGrid,
+    octree::levels_of,
+    time_tree::{num_time_levels, num_time_nodes},
 };
 use chronoxel_store::{
-    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, VariableDescription, verify,
+    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription, verify,
 };
 
 use common::{copy_folder, tree_of};
@@ -52,6 +54,8 @@ struct Case {
     description: StoreDescription,
     longest: u32,
     spans: Vec<Vec<Vec<Vec<Due>>>>,
+    /// `[variable][time level][index]`: statistics of all nodes; empty where the store has no time tree.
+    statistics: Vec<Vec<Vec<Vec<NodeStatistics>>>>,
 }
 
 fn classes(windows: &[u32]) -> Vec<PayloadClass> {
@@ -157,6 +161,55 @@ fn span_of(
     SpanWrite { node_rank, start, len, window, content, mask, drawn_range, statistics }
 }
 
+/// What is known of some of the finest nodes over some steps, given the spans that hold each.
+fn known(nodes: &[&Vec<Due>], steps: std::ops::Range<u32>) -> NodeStatistics {
+    let mut facts = NodeFacts { is_static: true, ..NodeFacts::default() };
+    let mut all = Vec::new();
+    for spans in nodes {
+        let at = |step| {
+            let holds = |due: &&Due| (due.span.start..due.span.start + due.span.len).contains(&step);
+            spans.iter().find(holds).unwrap().span.statistics
+        };
+        let over: Vec<SpanStatistics> = steps.clone().map(at).collect();
+        let num_empty = over.iter().filter(|s| s.count == 0).count();
+        facts.is_masked |= num_empty > 0;
+        facts.mask_changes |= num_empty % over.len() > 0;
+        facts.is_static &= num_empty == over.len() || over.iter().all(|s| s.min == over[0].min);
+        all.extend(over.into_iter().filter(|s| s.count > 0));
+    }
+    let fold = |value: fn(&SpanStatistics) -> f64, pick: fn(f64, f64) -> f64| {
+        all.iter().map(value).fold(f64::NAN, pick)
+    };
+    match all.len() {
+        0 => NodeStatistics::EMPTY,
+        num => NodeStatistics {
+            min: fold(|s| s.min, f64::min),
+            max: fold(|s| s.max, f64::max),
+            mean: f64::from((all.iter().map(|s| s.mean).sum::<f64>() / num as f64) as f32),
+            std: 0.5,
+            temporal_error: if facts.is_static { 0.0 } else { 0.25 },
+            facts,
+        },
+    }
+}
+
+/// Statistics that agree with the spans of the finest nodes: `[time level][index][node]`.
+fn statistics(tree: &Octree, num_steps: u32, spans: &[Vec<Vec<Due>>]) -> Vec<Vec<Vec<NodeStatistics>>> {
+    let row = |at: TimeNode| {
+        let levels = 0..tree.num_levels() as u8;
+        let nodes = levels.flat_map(|level| tree.nodes(level).iter().map(move |&morton| (level, morton)));
+        let of_node = |(level, morton): (u8, u64)| {
+            let finest = tree.nodes(0).iter().zip(&spans[0]);
+            let within = finest.filter(|(finest, _)| **finest >> (3 * level) == morton);
+            known(&within.map(|(_, spans)| spans).collect::<Vec<_>>(), at.steps(num_steps))
+        };
+        nodes.map(of_node).collect()
+    };
+    let level =
+        |level| (0..num_time_nodes(num_steps, level)).map(|index| row(TimeNode { level, index })).collect();
+    (0..num_time_levels(num_steps)).map(level).collect()
+}
+
 fn case(random: &mut Random) -> Case {
     let layout = BrickLayout::new(8).unwrap();
     // One brick or several: 64, 32 or 16 steps to a shard; 100 bricks: 4; 1,000 bricks: 1.
@@ -180,7 +233,7 @@ fn case(random: &mut Random) -> Case {
         tree: tree(random, &grid, &layout),
         variables: variables.collect(),
         zstd_level: 1,
-        time_tree: None,
+        time_tree: (!random.one_in(4)).then_some(TimeTreeEntry { stride: 1 }),
         encoder: serde_json::Value::Null,
     };
     // Spans may come one by one, or all those of a window at its end.
@@ -210,7 +263,9 @@ fn case(random: &mut Random) -> Case {
         });
         spans.push(levels.collect());
     }
-    Case { description, longest, spans }
+    let of_variable = |spans: &Vec<Vec<Vec<Due>>>| statistics(&description.tree, num_steps, spans);
+    let statistics = description.time_tree.map_or(Vec::new(), |_| spans.iter().map(of_variable).collect());
+    Case { description, longest, spans, statistics }
 }
 
 impl Case {
@@ -243,6 +298,7 @@ impl Case {
                     }
                 }
             }
+            self.put_statistics(&mut writer, step);
             writer.set_carry(serde_json::json!(step));
             writer.commit_step(step).unwrap();
             if stop(Some(step), &writer) {
@@ -250,6 +306,32 @@ impl Case {
             }
         }
         Some(writer)
+    }
+
+    fn put_statistics(&self, writer: &mut StoreWriter, step: u32) {
+        for (variable, levels) in self.statistics.iter().enumerate() {
+            for at in TimeNode::closed_by(step, self.num_steps()) {
+                let row = &levels[usize::from(at.level)][at.index as usize];
+                writer.put_statistics(variable, at, row).unwrap();
+            }
+        }
+    }
+
+    /// Holds all statistics that can be read against those that were put.
+    fn check_statistics(&self, store: &Store) {
+        for (variable, levels) in self.statistics.iter().enumerate() {
+            for (level, rows) in levels.iter().enumerate() {
+                for (index, due) in rows.iter().enumerate() {
+                    let at = TimeNode { level: level as u8, index: index as u32 };
+                    assert!(store.has_statistics(at) || !store.is_complete());
+                    assert_eq!(store.has_statistics(at), store.statistics(variable, at).is_ok());
+                    if let Ok(found) = store.statistics(variable, at) {
+                        // Debug text, since absent ones are NaN.
+                        assert_eq!(format!("{found:?}"), format!("{due:?}"));
+                    }
+                }
+            }
+        }
     }
 
     fn expected(&self, variable: usize, level: usize, node: usize, step: u32) -> &SpanWrite {
@@ -277,6 +359,7 @@ impl Case {
                 assert!(store.spans(variable, level as u8, finished).is_err());
             }
         }
+        self.check_statistics(&store);
         if thorough {
             let report = verify(&store, &|_, _| {});
             assert!(report.is_ok(), "{:?}", report.problems);
