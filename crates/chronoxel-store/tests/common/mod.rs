@@ -163,8 +163,11 @@ pub fn with_time_tree(description: StoreDescription) -> StoreDescription {
     StoreDescription { time_tree: Some(TimeTreeEntry { stride: 1 }), ..description }
 }
 
-/// What was worked out of [`field`] on grids of these dimensions and numbers of steps, by variable.
-static KNOWN: Mutex<BTreeMap<(usize, [usize; 3], usize), Known>> = Mutex::new(BTreeMap::new());
+/// A variable, the dimensions of a grid, a number of steps.
+type Series = (usize, [usize; 3], usize);
+
+/// What was worked out of [`field`].
+static KNOWN: Mutex<BTreeMap<Series, Known>> = Mutex::new(BTreeMap::new());
 
 /// The statistics of all nodes over a time node.
 pub fn statistics_of(description: &StoreDescription, variable: usize, at: TimeNode) -> Vec<NodeStatistics> {
