@@ -2,9 +2,6 @@
 
 #![allow(dead_code)] // each test binary uses its part
 
-#[path = "../known/mod.rs"]
-mod known;
-
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -20,7 +17,7 @@ use chronoxel_store::{
     SpanContent, SpanWrite, StoreDescription, StoreError, StoreWriter, TimeTreeEntry, VariableDescription,
 };
 
-use known::Known;
+use crate::known::Known;
 
 /// What may lie at a sample.
 pub type Field = fn(variable: usize, voxel: [usize; 3], step: u32) -> f64;
