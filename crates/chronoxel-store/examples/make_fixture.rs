@@ -4,6 +4,8 @@
 
 #[path = "../tests/fixture/mod.rs"]
 mod fixture;
+#[path = "../tests/known/mod.rs"]
+mod known;
 
 use chronoxel_store::TimeTreeEntry;
 

@@ -1,6 +1,7 @@
 //! Damage anywhere is found: every flipped byte, every missing, cut or added file, and never a panic.
 
 mod common;
+mod known;
 
 use std::path::Path;
 

@@ -2,6 +2,7 @@
 
 mod common;
 mod fixture;
+mod known;
 
 use std::path::{Path, PathBuf};
 

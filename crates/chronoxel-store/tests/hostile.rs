@@ -1,6 +1,7 @@
 //! Stores made to harm: checksums are right, what they guard is not. Every one is an error, none a panic or a large allocation.
 
 mod common;
+mod known;
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,7 @@
 //! A writer that stops anywhere leaves a store that opens, and that a resume completes to the same bytes.
 
 mod common;
+mod known;
 
 use std::path::Path;
 

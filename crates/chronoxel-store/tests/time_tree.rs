@@ -1,6 +1,7 @@
 //! The statistics of the time tree: what is put is read, what is missing or wrong is refused, what is kept is found again.
 
 mod common;
+mod known;
 
 use std::{
     io::{Read, Write},

@@ -2,6 +2,7 @@
 //! way, the finished store is that of an uninterrupted run, and at every moment what is finished can be read.
 
 mod common;
+mod known;
 
 use std::{
     collections::BTreeSet,
@@ -12,10 +13,8 @@ use chronoxel_codec::{
     Indices, Payload, PayloadClass, Stage, StageClass, Table, TableClass, decoded_range, stage_to_bytes,
 };
 use chronoxel_core::{
-    BitMask, BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, SampleType, SpanKind, SpanRecord,
-    SpanStatistics, TimeAxis, TimeNode, UniformGrid,
-    octree::levels_of,
-    time_tree::{num_time_levels, num_time_nodes},
+    BitMask, BrickLayout, NodeId, NodeStatistics, Octree, SampleType, SpanKind, SpanRecord, SpanStatistics,
+    TimeAxis, TimeNode, UniformGrid, octree::levels_of,
 };
 use chronoxel_store::{
     SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription, verify,
@@ -161,55 +160,6 @@ fn span_of(
     SpanWrite { node_rank, start, len, window, content, mask, drawn_range, statistics }
 }
 
-/// What is known of some of the finest nodes over some steps, given the spans that hold each.
-fn known(nodes: &[&Vec<Due>], steps: std::ops::Range<u32>) -> NodeStatistics {
-    let mut facts = NodeFacts { is_static: true, ..NodeFacts::default() };
-    let mut all = Vec::new();
-    for spans in nodes {
-        let at = |step| {
-            let holds = |due: &&Due| (due.span.start..due.span.start + due.span.len).contains(&step);
-            spans.iter().find(holds).unwrap().span.statistics
-        };
-        let over: Vec<SpanStatistics> = steps.clone().map(at).collect();
-        let num_empty = over.iter().filter(|s| s.count == 0).count();
-        facts.is_masked |= num_empty > 0;
-        facts.mask_changes |= num_empty % over.len() > 0;
-        facts.is_static &= num_empty == over.len() || over.iter().all(|s| s.min == over[0].min);
-        all.extend(over.into_iter().filter(|s| s.count > 0));
-    }
-    let fold = |value: fn(&SpanStatistics) -> f64, pick: fn(f64, f64) -> f64| {
-        all.iter().map(value).fold(f64::NAN, pick)
-    };
-    match all.len() {
-        0 => NodeStatistics::EMPTY,
-        num => NodeStatistics {
-            min: fold(|s| s.min, f64::min),
-            max: fold(|s| s.max, f64::max),
-            mean: f64::from((all.iter().map(|s| s.mean).sum::<f64>() / num as f64) as f32),
-            std: 0.5,
-            temporal_error: if facts.is_static { 0.0 } else { 0.25 },
-            facts,
-        },
-    }
-}
-
-/// Statistics that agree with the spans of the finest nodes: `[time level][index][node]`.
-fn statistics(tree: &Octree, num_steps: u32, spans: &[Vec<Vec<Due>>]) -> Vec<Vec<Vec<NodeStatistics>>> {
-    let row = |at: TimeNode| {
-        let levels = 0..tree.num_levels() as u8;
-        let nodes = levels.flat_map(|level| tree.nodes(level).iter().map(move |&morton| (level, morton)));
-        let of_node = |(level, morton): (u8, u64)| {
-            let finest = tree.nodes(0).iter().zip(&spans[0]);
-            let within = finest.filter(|(finest, _)| **finest >> (3 * level) == morton);
-            known(&within.map(|(_, spans)| spans).collect::<Vec<_>>(), at.steps(num_steps))
-        };
-        nodes.map(of_node).collect()
-    };
-    let level =
-        |level| (0..num_time_nodes(num_steps, level)).map(|index| row(TimeNode { level, index })).collect();
-    (0..num_time_levels(num_steps)).map(level).collect()
-}
-
 fn case(random: &mut Random) -> Case {
     let layout = BrickLayout::new(8).unwrap();
     // One brick or several: 64, 32 or 16 steps to a shard; 100 bricks: 4; 1,000 bricks: 1.
@@ -263,7 +213,12 @@ fn case(random: &mut Random) -> Case {
         });
         spans.push(levels.collect());
     }
-    let of_variable = |spans: &Vec<Vec<Vec<Due>>>| statistics(&description.tree, num_steps, spans);
+    let of_variable = |spans: &Vec<Vec<Vec<Due>>>| {
+        known::agreeing(&description.tree, num_steps, |node, step| {
+            let holds = |due: &&Due| (due.span.start..due.span.start + due.span.len).contains(&step);
+            spans[0][node].iter().find(holds).unwrap().span.statistics
+        })
+    };
     let statistics = description.time_tree.map_or(Vec::new(), |_| spans.iter().map(of_variable).collect());
     Case { description, longest, spans, statistics }
 }

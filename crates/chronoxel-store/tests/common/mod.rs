@@ -2,9 +2,6 @@
 
 #![allow(dead_code)] // each test binary uses its part
 
-#[path = "../known/mod.rs"]
-mod known;
-
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -20,7 +17,7 @@ use chronoxel_store::{
     SpanContent, SpanWrite, StoreDescription, StoreError, StoreWriter, TimeTreeEntry, VariableDescription,
 };
 
-use known::Known;
+use crate::known::Known;
 
 /// What may lie at a sample.
 pub type Field = fn(variable: usize, voxel: [usize; 3], step: u32) -> f64;
@@ -163,8 +160,11 @@ pub fn with_time_tree(description: StoreDescription) -> StoreDescription {
     StoreDescription { time_tree: Some(TimeTreeEntry { stride: 1 }), ..description }
 }
 
-/// What was worked out of [`field`] on grids of these dimensions and numbers of steps, by variable.
-static KNOWN: Mutex<BTreeMap<(usize, [usize; 3], usize), Known>> = Mutex::new(BTreeMap::new());
+/// A variable, the dimensions of a grid, a number of steps.
+type Series = (usize, [usize; 3], usize);
+
+/// What was worked out of [`field`].
+static KNOWN: Mutex<BTreeMap<Series, Known>> = Mutex::new(BTreeMap::new());
 
 /// The statistics of all nodes over a time node.
 pub fn statistics_of(description: &StoreDescription, variable: usize, at: TimeNode) -> Vec<NodeStatistics> {

@@ -5,7 +5,9 @@
 use std::collections::HashMap;
 
 use chronoxel_core::{
-    NodeFacts, NodeId, NodeStatistics, TimeNode, octree::levels_of, time_tree::guarded_ratio,
+    NodeFacts, NodeId, NodeStatistics, Octree, SpanStatistics, TimeNode,
+    octree::levels_of,
+    time_tree::{guarded_ratio, num_time_levels, num_time_nodes},
 };
 use chronoxel_store::StoreDescription;
 
@@ -138,4 +140,55 @@ fn pieces(description: &StoreDescription, node: NodeId) -> Vec<Piece> {
         _ => true,
     };
     pieces.into_iter().filter(in_grid).collect()
+}
+
+/// Statistics `[time level][index][node]` that agree with those of single steps of the finest nodes, given by rank and step, each
+/// of as many samples or of none. Deviations and errors are made up.
+pub fn agreeing(
+    tree: &Octree,
+    num_steps: u32,
+    of_step: impl Fn(usize, u32) -> SpanStatistics,
+) -> Vec<Vec<Vec<NodeStatistics>>> {
+    let finest = 0..tree.nodes(0).len();
+    let steps: Vec<Vec<SpanStatistics>> =
+        finest.map(|rank| (0..num_steps).map(|step| of_step(rank, step)).collect()).collect();
+    let row = |at: TimeNode| {
+        let levels = 0..tree.num_levels() as u8;
+        let nodes = levels.flat_map(|level| tree.nodes(level).iter().map(move |&morton| (level, morton)));
+        let of_node = |(level, morton): (u8, u64)| {
+            let within = tree.nodes(0).iter().enumerate();
+            let within = within.filter(|(_, finest)| **finest >> (3 * level) == morton);
+            let range = at.steps(num_steps);
+            let of_finest = within.map(|(rank, _)| &steps[rank][range.start as usize..range.end as usize]);
+            summary(&of_finest.collect::<Vec<_>>())
+        };
+        nodes.map(of_node).collect()
+    };
+    let level =
+        |level| (0..num_time_nodes(num_steps, level)).map(|index| row(TimeNode { level, index })).collect();
+    (0..num_time_levels(num_steps)).map(level).collect()
+}
+
+/// Of some of the finest nodes `[node][step]`.
+fn summary(nodes: &[&[SpanStatistics]]) -> NodeStatistics {
+    let mut facts = NodeFacts { is_static: true, ..NodeFacts::default() };
+    for &steps in nodes {
+        let num_empty = steps.iter().filter(|s| s.count == 0).count();
+        facts.is_masked |= num_empty > 0;
+        facts.mask_changes |= num_empty % steps.len() > 0;
+        facts.is_static &= num_empty == steps.len() || steps.iter().all(|s| s.min == steps[0].min);
+    }
+    let all: Vec<&SpanStatistics> = nodes.iter().copied().flatten().filter(|s| s.count > 0).collect();
+    let fold = |value: fn(&SpanStatistics) -> f64, pick: fn(f64, f64) -> f64| {
+        all.iter().copied().map(value).fold(f64::NAN, pick)
+    };
+    if all.is_empty() {
+        return NodeStatistics::EMPTY;
+    }
+    let [min, max] = [fold(|s| s.min, f64::min), fold(|s| s.max, f64::max)];
+    let single = |value: f64| f64::from(value as f32);
+    let std = single((0.25 * (max - min)).max(fold(|s| s.std, f64::max)));
+    let mean = single(all.iter().map(|s| s.mean).sum::<f64>() / all.len() as f64).clamp(min, max);
+    let temporal_error = if facts.is_static { 0.0 } else { single(std / (1.0 + mean.abs()) + 1e-6) };
+    NodeStatistics { min, max, mean, std, temporal_error, facts }
 }
