@@ -259,12 +259,16 @@ impl Camera {
 /// The rays of a picture of some size, see [`Camera::rays`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PictureRays {
-    position: [f64; 3],
-    forward: [f64; 3],
-    /// From the centre of the picture to its top left corner.
-    corner: [f64; 3],
-    per_column: [f64; 3],
-    per_row: [f64; 3],
+    /// Where the camera stands.
+    pub position: [f64; 3],
+    /// The direction of view, a unit vector.
+    pub forward: [f64; 3],
+    /// From the centre of the picture to its top left corner: at distance 1, or in the world.
+    pub corner: [f64; 3],
+    /// From a column of the picture to the next.
+    pub per_column: [f64; 3],
+    /// From a row of the picture to the next.
+    pub per_row: [f64; 3],
     is_perspective: bool,
 }
 

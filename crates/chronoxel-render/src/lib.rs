@@ -1,16 +1,22 @@
 //! Renderers: from bricks, a transfer function and a camera to a picture.
 //!
-//! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast. Neither knows of files or
-//! stores.
+//! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast, and `gpu` (a feature, on by
+//! default) makes it on the GPU. None knows of files or stores.
 
 pub mod cpu;
 pub mod error;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod prepared;
 pub mod reference;
 pub mod scene;
 
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
+#[cfg(feature = "gpu")]
+pub use gpu::{
+    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuRenderer, GpuStats, Interpolation, Way,
+};
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};
 pub use scene::{DrawBrick, DrawHow, RenderStats, Scene};

@@ -9,7 +9,7 @@ use super::light::{LightJob, terms};
 use super::partial::PacketPixels;
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
-pub(super) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
+pub(crate) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
 
 /// Samples taken before the blocks ahead are looked at again.
 const RUN: f32 = 12.0;

@@ -9,7 +9,7 @@ mod kernel;
 mod lanes;
 mod light;
 mod partial;
-mod table;
+pub(crate) mod table;
 mod tile;
 
 use std::collections::HashMap;
@@ -23,6 +23,8 @@ use crate::prepared::BLOCK_EDGE;
 use crate::scene::MAX_LEVELS;
 use crate::{DrawBrick, DrawHow, PreparedBrick, RenderError, RenderStats, Scene};
 
+#[cfg(feature = "gpu")]
+pub(crate) use kernel::LEAST_TRANSMITTANCE;
 pub use kernel::kernel_name;
 use kernel::{BrickJob, LevelBox, March};
 use light::LightJob;

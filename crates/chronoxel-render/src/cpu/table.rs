@@ -7,11 +7,11 @@ use crate::PreparedBrick;
 use super::lanes::WEIGHT_ONE;
 
 /// Entries of a table; the first and the last stand for everything below and above the transfer function's points.
-const NUM_ENTRIES: usize = 4096;
+pub(crate) const NUM_ENTRIES: usize = 4096;
 
 /// Colours of the values between the first and the last point of a transfer function, for one step length.
 #[derive(Debug)]
-pub(super) struct Table {
+pub(crate) struct Table {
     /// Red, green and blue multiplied by alpha, and alpha.
     pub entries: Vec<[f32; 4]>,
     /// How many of the entries before each are not transparent.
@@ -40,14 +40,31 @@ impl Table {
         Self { entries, num_visible_before, first_value, entries_per_value: 1.0 / entry_width }
     }
 
+    /// Factor and offset from a number to the index of its entry, to be clamped and cut to a whole number.
+    ///
+    /// * `offset`, `scale`: `value = offset + scale * number`
+    pub fn index_from_number(&self, offset: f64, scale: f64) -> [f32; 2] {
+        let factor = scale * self.entries_per_value;
+        let offset = (offset - self.first_value) * self.entries_per_value + 0.5;
+        // Beyond this the index is clamped at either end, and the product of the two must stay finite.
+        [factor, offset].map(|x| x.clamp(-1e25, 1e25) as f32)
+    }
+
+    /// Whether no value of a closed range can be seen, though each be off by 1/1024 of the range.
+    #[cfg(feature = "gpu")]
+    pub fn is_transparent_between(&self, [low, high]: [f64; 2]) -> bool {
+        let margin = (high - low) / 1024.0;
+        let index = |value: f64| (value - self.first_value) * self.entries_per_value + 0.5;
+        let last = (NUM_ENTRIES - 1) as f64;
+        let [low, high] = [index(low - margin) - 1.0, index(high + margin) + 1.0];
+        let [low, high] = [low, high].map(|i| i.max(0.0).min(last) as usize);
+        self.num_visible_before[high + 1] == self.num_visible_before[low]
+    }
+
     /// Factor and offset from an interpolated sample of a brick (in units of `1 / WEIGHT_ONE`) to the index of
     /// its entry, to be clamped and cut to a whole number.
     pub fn index_from_sample(&self, brick: &PreparedBrick) -> [f32; 2] {
-        let factor = brick.scale * self.entries_per_value;
-        let offset = (brick.offset - self.first_value) * self.entries_per_value + 0.5;
-        // Beyond this the index is clamped at either end, and the product of the two must stay finite.
-        let bounded = |x: f64| x.clamp(-1e25, 1e25) as f32;
-        [bounded(factor / f64::from(WEIGHT_ONE)), bounded(offset)]
+        self.index_from_number(brick.offset, brick.scale / f64::from(WEIGHT_ONE))
     }
 
     /// The index of a sample's entry, as the kernel finds it.
@@ -66,7 +83,7 @@ impl Table {
 }
 
 /// A colour and opacity per unit as the colour of one sample.
-pub(super) fn premultiplied([r, g, b, opacity]: [f64; 4], dt: f64, unit: f64) -> [f32; 4] {
+pub(crate) fn premultiplied([r, g, b, opacity]: [f64; 4], dt: f64, unit: f64) -> [f32; 4] {
     let alpha = correct_opacity(opacity, dt, unit);
     [r * alpha, g * alpha, b * alpha, alpha].map(|c| c as f32)
 }

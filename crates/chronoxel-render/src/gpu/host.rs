@@ -1,0 +1,107 @@
+//! What the host and the shaders share: the structs of `shaders/`, field by field.
+
+use bytemuck::{Pod, Zeroable};
+
+/// `Lighting` of `shared/lighting.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct LightingData {
+    pub world_from_difference: [f32; 3],
+    pub unit_from_step: f32,
+    pub ambient: f32,
+    pub diffuse: f32,
+    pub specular: f32,
+    pub specular_power: u32,
+}
+
+/// `View` of `raycast.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct ViewData {
+    pub start: [f32; 3],
+    pub cell_edge: f32,
+    pub start_per_column: [f32; 3],
+    pub root_level: u32,
+    pub start_per_row: [f32; 3],
+    pub first_row: u32,
+    pub direction: [f32; 3],
+    pub num_columns: u32,
+    pub direction_per_column: [f32; 3],
+    pub num_rows: u32,
+    pub direction_per_row: [f32; 3],
+    pub is_first: u32,
+    pub step_per_direction: [f32; 3],
+    pub most_place: f32,
+    pub last: [f32; 3],
+    pub full_edge: u32,
+    pub cells: [i32; 3],
+    pub low_apron: u32,
+    pub per_texel: [f32; 3],
+    pub padding: u32,
+    pub lighting: LightingData,
+}
+
+/// `Brick` of `raycast.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct BrickData {
+    pub origin: [f32; 3],
+    pub scale: f32,
+    pub texel: [f32; 3],
+    pub colors: u32,
+    pub index_from_texel: [f32; 2],
+    pub mask: u32,
+    pub payload: u32,
+    pub step: u32,
+    pub padding: [u32; 3],
+}
+
+/// `NO_MASK` of `raycast.wgsl`.
+pub(super) const NO_MASK: u32 = u32::MAX;
+
+/// `Constant` of `raycast.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct ConstantData {
+    pub color: [f32; 4],
+    pub log_transmittance: f32,
+    pub scale: f32,
+    pub padding: [u32; 2],
+}
+
+/// `Batch` of `decode.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct BatchData {
+    pub full_edge: u32,
+    pub pairs: u32,
+    pub slots_along: u32,
+    pub row_words: u32,
+    pub first_line: u32,
+    pub first_job: u32,
+}
+
+/// `Job` of `decode.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct JobData {
+    pub slot: u32,
+    pub step: u32,
+}
+
+/// The description of a stage in a bank, as `shared/decode.wgsl` reads it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct StageData {
+    /// First word of the indices, counted from that of the payload.
+    pub indices: u32,
+    pub index_bits: u32,
+    /// First word of the table, counted from that of the payload.
+    pub table: u32,
+    /// Entries of a row; 0 where the table is affine.
+    pub num_entries: u32,
+    pub shift: u32,
+    pub factor: f32,
+    pub offset: f32,
+    pub padding: u32,
+}

@@ -1,0 +1,34 @@
+//! Shaders as they lie on disk, with what they import.
+
+use std::borrow::Cow;
+
+/// Files that others import, by the name in quotes after `#import`.
+const SHARED: &[(&str, &str)] = &[
+    ("shared/compositing.wgsl", include_str!("shaders/shared/compositing.wgsl")),
+    ("shared/decode.wgsl", include_str!("shaders/shared/decode.wgsl")),
+    ("shared/lighting.wgsl", include_str!("shaders/shared/lighting.wgsl")),
+    ("shared/locate.wgsl", include_str!("shaders/shared/locate.wgsl")),
+];
+
+/// Decodes slots.
+pub(super) const DECODE: &str = include_str!("shaders/decode.wgsl");
+/// Casts rays.
+pub(super) const RAYCAST: &str = include_str!("shaders/raycast.wgsl");
+
+/// A shader with each line `#import "file"` replaced by the file, which imports nothing itself.
+///
+/// # Panics
+/// If there is no such file: shaders are part of the program.
+pub(super) fn with_imports(source: &str) -> String {
+    let line = |line| -> Cow<'_, str> {
+        let Some(file) = imported(line) else { return Cow::Borrowed(line) };
+        let text = SHARED.iter().find(|(name, _)| *name == file).map(|(_, text)| *text);
+        Cow::Borrowed(text.unwrap_or_else(|| panic!("no shader file {file:?}")))
+    };
+    source.lines().flat_map(|l| [line(l), Cow::Borrowed("\n")]).collect()
+}
+
+/// The file that a line imports.
+fn imported(line: &str) -> Option<&str> {
+    line.strip_prefix("#import \"")?.strip_suffix('"')
+}

@@ -1,0 +1,250 @@
+//! The renderer on the GPU, by wgpu: payloads are decoded there, and rays cast through a page table.
+//!
+//! Indices and tables of payloads lie in storage buffers (banks). A pass decodes the bricks of a picture into slots of a
+//! 3-D texture (the brick pool); a step of time changes the row of their tables and nothing else, so that no more than
+//! row numbers are uploaded. The page table, an octree of the boxes of the draw list, says of each place whether it is
+//! empty, constant or in a slot; rays go through it box by box and take the samples that the CPU takes.
+//!
+//! What WebGPU guarantees suffices; 16-bit fractions, larger buffers and timestamps are used where they are offered.
+
+mod bank;
+mod decode;
+mod device;
+mod error;
+mod host;
+mod import;
+mod memory;
+mod page_table;
+mod pool;
+mod portion;
+mod raycast;
+mod timing;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use chronoxel_codec::Payload;
+use chronoxel_core::{BitMask, Image, NodeId};
+
+use crate::{RenderError, Scene};
+use device::Device;
+pub use device::GpuInfo;
+pub use error::GpuError;
+use portion::{Colors, Residency};
+use raycast::{Caster, How};
+use timing::Timer;
+
+/// How the GPU is used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GpuOptions {
+    /// GPU memory that buffers and textures may take together.
+    pub memory_bytes: u64,
+    /// A part of the adapter's name, in any case; `None` takes the one that suits best.
+    pub adapter: Option<String>,
+    /// Use no more than WebGPU guarantees everywhere.
+    pub guaranteed_only: bool,
+    /// When payloads are decoded.
+    pub way: Way,
+    /// What is interpolated.
+    pub interpolation: Interpolation,
+}
+
+impl Default for GpuOptions {
+    fn default() -> Self {
+        Self {
+            memory_bytes: 1 << 30,
+            adapter: None,
+            guaranteed_only: false,
+            way: Way::default(),
+            interpolation: Interpolation::default(),
+        }
+    }
+}
+
+/// When payloads are decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Way {
+    /// Once per step, into the brick pool, which the GPU's filters interpolate.
+    #[default]
+    Pool,
+    /// At each fetch: eight indices are looked up in their tables for each sample that is taken.
+    Fetch,
+}
+
+/// What is interpolated between samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Interpolation {
+    /// Scalars, before they are looked up in the transfer function.
+    #[default]
+    Scalar,
+    /// Colours, after it (lum2001), for comparison.
+    Color,
+}
+
+/// One entry of a draw list: a box of the octree, and what is in it.
+#[derive(Debug, Clone)]
+pub struct GpuBrick {
+    /// The node whose data is drawn.
+    pub node: NodeId,
+    /// The half-open box to draw it in, in level-0 voxels: the node's own, or the octant of a finer node that is
+    /// absent.
+    pub region: [[f64; 3]; 2],
+    /// What is in it.
+    pub how: GpuHow,
+}
+
+/// What a draw list says of a box.
+#[derive(Debug, Clone)]
+pub enum GpuHow {
+    /// Nothing is seen there.
+    Skip,
+    /// One value everywhere, crossed in closed form and unlit.
+    Constant(f64),
+    /// One sRGB colour and opacity per unit length everywhere, whatever the transfer function: crossed in closed form,
+    /// unlit.
+    ConstantColor([f32; 3], f32),
+    /// Samples, as they are coded.
+    Coded(CodedBrick),
+}
+
+/// A payload at a step.
+#[derive(Debug, Clone)]
+pub struct CodedBrick {
+    /// The caller's: equal keys have equal payloads and masks.
+    pub key: u64,
+    /// Indices and tables.
+    pub payload: Arc<Payload>,
+    /// The step, counted from the first of the payload's span.
+    pub step_in_span: u32,
+    /// Masked samples, over core and apron.
+    pub mask: Option<Arc<BitMask>>,
+}
+
+/// What it took to make a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GpuStats {
+    /// Bricks of the list that were sampled.
+    pub bricks_drawn: usize,
+    /// Bricks crossed in closed form.
+    pub bricks_constant: usize,
+    /// Bricks left out: absent, transparent, or outside the grid.
+    pub bricks_skipped: usize,
+    /// Parts in which the list was drawn, because not all of its slots were there at once, or not all of the picture.
+    pub num_portions: usize,
+    /// Slots of the brick pool.
+    pub num_slots: usize,
+    /// Slots that were decoded.
+    pub slots_decoded: usize,
+    /// Payloads that were uploaded.
+    pub payloads_uploaded: usize,
+    /// Bytes uploaded, of payloads and all else.
+    pub bytes_uploaded: u64,
+    /// GPU memory in use, and the most that ever was.
+    pub gpu_bytes: u64,
+    /// The most that ever was.
+    pub gpu_bytes_peak: u64,
+    /// Time to decode, by the GPU's clock; 0 where it has none.
+    pub decode_ms: f64,
+    /// Time to cast rays, by the GPU's clock; where it has none, of the whole picture.
+    pub render_ms: f64,
+    /// Wall-clock time, until the picture was read back.
+    pub wall_ms: f64,
+}
+
+/// A renderer on one adapter, and what is resident there.
+#[derive(Debug)]
+pub struct GpuRenderer {
+    options: GpuOptions,
+    residency: Residency,
+    caster: Caster,
+    colors: Colors,
+    timer: Timer,
+    device: Device,
+}
+
+impl GpuRenderer {
+    /// A renderer on the adapter that suits best, or on the one that the options name.
+    ///
+    /// # Errors
+    /// [`GpuError`] if there is no such adapter, it cannot be used, or the memory is too small.
+    pub fn new(options: &GpuOptions) -> Result<Self, GpuError> {
+        let device = Device::new(options)?;
+        let timer = Timer::new(&device)?;
+        let caster = Caster::new(&device, options.memory_bytes / 8, options.memory_bytes / 16)?;
+        let residency = Residency::new(options);
+        Ok(Self { options: options.clone(), residency, caster, colors: Colors::default(), timer, device })
+    }
+
+    /// Which adapter it is, and what it offers.
+    pub fn info(&self) -> &GpuInfo {
+        &self.device.info
+    }
+
+    /// Draws a scene from its bricks.
+    ///
+    /// * `bricks`: boxes that do not overlap, front to back
+    ///
+    /// # Errors
+    /// [`GpuError`] if the scene or a brick cannot be drawn, the memory is too small, or the device is lost: then
+    /// make another renderer.
+    pub fn draw(&mut self, scene: &Scene, bricks: &[GpuBrick]) -> Result<(Image, GpuStats), GpuError> {
+        let start = Instant::now();
+        self.device.check()?;
+        scene.check()?;
+        let mut stats = GpuStats::default();
+        self.colors.set(scene, bricks)?;
+        self.caster.set_colors(&self.device, &self.colors.words)?;
+        let most_bytes = self.options.memory_bytes / 4;
+        let rows = self.caster.hold_picture(&self.device, scene.size, most_bytes)?;
+        self.residency.hold(&self.device, scene, bricks)?;
+        let [width, height] = scene.size;
+        let mut image = Image { width, height, pixels: Vec::with_capacity(width * height) };
+        for first_row in (0..height).step_by(rows) {
+            let num_rows = rows.min(height - first_row);
+            self.draw_rows(scene, bricks, [first_row, num_rows], &mut stats)?;
+            self.caster.read_rows(&self.device, num_rows, &mut image.pixels)?;
+        }
+        self.finish(&mut stats, start)?;
+        Ok((image, stats))
+    }
+
+    /// Draws rows of the picture, in as many portions as it takes.
+    fn draw_rows(
+        &mut self,
+        scene: &Scene,
+        bricks: &[GpuBrick],
+        rows: [usize; 2],
+        stats: &mut GpuStats,
+    ) -> Result<(), GpuError> {
+        let how = How { way: self.options.way, interpolation: self.options.interpolation };
+        let (mut drawn, mut is_first) = (0, true);
+        while is_first || drawn < bricks.len() {
+            let (device, timer, mut found) = (&self.device, &mut self.timer, GpuStats::default());
+            let portion =
+                self.residency.gather(device, scene, bricks, &mut drawn, &self.colors, timer, &mut found)?;
+            stats.slots_decoded += found.slots_decoded;
+            stats.payloads_uploaded += found.payloads_uploaded;
+            if rows[0] == 0 {
+                stats.bricks_drawn += found.bricks_drawn;
+                stats.bricks_constant += found.bricks_constant;
+                stats.bricks_skipped += found.bricks_skipped;
+            }
+            let (pool, bank) = self.residency.resources();
+            self.caster.draw(device, scene, how, &portion, rows, is_first, pool, bank, timer)?;
+            stats.num_portions += 1;
+            is_first = false;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, stats: &mut GpuStats, start: Instant) -> Result<(), GpuError> {
+        let times = self.timer.finish(&self.device)?;
+        stats.wall_ms = start.elapsed().as_secs_f64() * 1e3;
+        [stats.decode_ms, stats.render_ms] = times.unwrap_or([0.0, stats.wall_ms]);
+        stats.num_slots = self.residency.num_slots();
+        stats.bytes_uploaded = self.device.take_uploaded();
+        stats.gpu_bytes = self.device.budget.used();
+        stats.gpu_bytes_peak = self.device.budget.peak();
+        Ok(())
+    }
+}

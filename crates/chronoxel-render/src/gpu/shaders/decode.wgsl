@@ -1,0 +1,57 @@
+// Decodes slots into a buffer that is laid out like the brick pool, from which they are copied there.
+#import "shared/decode.wgsl"
+
+struct Batch {
+    // Samples along an edge, apron included, and pairs of them along a row, the last one padded.
+    full_edge: u32,
+    pairs: u32,
+    // Slots along a line of the pool, and words from row to row of it.
+    slots_along: u32,
+    row_words: u32,
+    // The line of slots that the buffer begins with, and the first job.
+    first_line: u32,
+    first_job: u32,
+}
+
+struct Job {
+    slot: u32,
+    step: u32,
+}
+
+// Whether the pool holds 16-bit fractions in place of 16-bit floats.
+override IS_UNORM: bool;
+
+@group(0) @binding(0) var<uniform> batch: Batch;
+@group(0) @binding(1) var<storage, read> bank: array<u32>;
+// For each slot, the first word of its payload in its bank.
+@group(0) @binding(2) var<storage, read> payloads: array<u32>;
+@group(0) @binding(3) var<storage, read> jobs: array<Job>;
+@group(0) @binding(4) var<storage, read_write> texels: array<u32>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let rows = batch.full_edge * batch.full_edge;
+    if id.x >= batch.pairs * rows {
+        return;
+    }
+    let job = jobs[batch.first_job + id.y];
+    let pair = id.x % batch.pairs;
+    let row = id.x / batch.pairs;
+    let payload = payloads[job.slot];
+    let first = row * batch.full_edge + 2u * pair;
+    var values = vec2<f32>(decode_unit(payload, job.step, first), 0.0);
+    if 2u * pair + 1u < batch.full_edge {
+        values.y = decode_unit(payload, job.step, first + 1u);
+    }
+    let line = job.slot / batch.slots_along - batch.first_line;
+    let column = (job.slot % batch.slots_along) * batch.pairs + pair;
+    texels[(line * rows + row) * batch.row_words + column] = texel_pair(values);
+}
+
+// Floats have their sign as one more bit: they go from -1 to 1.
+fn texel_pair(values: vec2<f32>) -> u32 {
+    if IS_UNORM {
+        return pack2x16unorm(values);
+    }
+    return pack2x16float(values * 2.0 - 1.0);
+}

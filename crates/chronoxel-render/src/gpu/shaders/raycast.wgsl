@@ -1,0 +1,317 @@
+// The ray caster: one ray per pixel, box by box through the page table.
+#import "shared/lighting.wgsl"
+#import "shared/compositing.wgsl"
+#import "shared/locate.wgsl"
+#import "shared/decode.wgsl"
+
+struct View {
+    // Where rays start, level-0 voxels: at the corner of the picture, and from pixel to pixel.
+    start: vec3<f32>,
+    // Voxels of level 0 along an edge of a cell of the page table.
+    cell_edge: f32,
+    start_per_column: vec3<f32>,
+    root_level: u32,
+    start_per_row: vec3<f32>,
+    // The first row of the picture that is drawn.
+    first_row: u32,
+    // Their direction in the world, not of unit length: at the corner, and from pixel to pixel.
+    direction: vec3<f32>,
+    num_columns: u32,
+    direction_per_column: vec3<f32>,
+    num_rows: u32,
+    direction_per_row: vec3<f32>,
+    // Whether nothing was gathered before.
+    is_first: u32,
+    // From a unit vector in the world to the voxels from sample to sample.
+    step_per_direction: vec3<f32>,
+    // Largest place in the cells of a brick, and samples along an edge, apron included.
+    most_place: f32,
+    // The far corner of the grid, voxels.
+    last: vec3<f32>,
+    full_edge: u32,
+    // The number of cells.
+    cells: vec3<i32>,
+    low_apron: u32,
+    // 1 / size of the pool.
+    per_texel: vec3<f32>,
+    padding: u32,
+    lighting: Lighting,
+}
+
+struct Brick {
+    // Of the core's first sample, voxels of the brick's level.
+    origin: vec3<f32>,
+    // 2^-level
+    scale: f32,
+    // Of the core's first sample, in the pool.
+    texel: vec3<f32>,
+    // The first of its level's colours.
+    colors: u32,
+    // Factor and offset from what the pool holds to the index of a colour.
+    index_from_texel: vec2<f32>,
+    // The first word of its mask, or NO_MASK.
+    mask: u32,
+    // For decoding at each fetch: the first word of its payload in the bank, and the step in its span.
+    payload: u32,
+    step: u32,
+    padding_a: u32,
+    padding_b: u32,
+    padding_c: u32,
+}
+
+struct Constant {
+    // Of one sample, premultiplied.
+    color: vec4<f32>,
+    log_transmittance: f32,
+    // 2^-level of the samples
+    scale: f32,
+    padding_a: u32,
+    padding_b: u32,
+}
+
+override LIT: bool;
+// Decode at each fetch, in place of sampling the pool.
+override FETCH: bool;
+// Interpolate colours, after the look-up.
+override INTERPOLATE_COLOR: bool;
+// A ray ends where less than this much of what lies behind would be seen.
+override LEAST_TRANSMITTANCE: f32;
+// The colours of a level.
+override NUM_COLORS: u32;
+
+const NO_MASK: u32 = 0xffffffffu;
+// Beyond every plane; the product of two is finite.
+const FAR: f32 = 1e15;
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> nodes: array<u32>;
+@group(0) @binding(2) var<storage, read> bricks: array<Brick>;
+@group(0) @binding(3) var<storage, read> constants: array<Constant>;
+@group(0) @binding(4) var<storage, read> colors: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> masks: array<u32>;
+@group(0) @binding(6) var<storage, read> bank: array<u32>;
+// Red, green and blue multiplied by alpha, and transmittance.
+@group(0) @binding(7) var<storage, read_write> gathered: array<vec4<f32>>;
+@group(0) @binding(8) var pool: texture_3d<f32>;
+@group(0) @binding(9) var pool_sampler: sampler;
+
+struct RayInGrid {
+    // Where it enters the grid, voxels of level 0.
+    entry: vec3<f32>,
+    // From sample to sample, in voxels of the level sampled.
+    step: vec3<f32>,
+    inverse_step: vec3<f32>,
+    // Length inside the grid, counted in samples of level 0; negative where it misses it.
+    length: f32,
+}
+
+fn inverse_of(step: f32) -> f32 {
+    return select(1.0 / step, FAR, abs(step) < 1.0 / FAR);
+}
+
+fn ray_of(pixel: vec2<f32>) -> RayInGrid {
+    let start = view.start + pixel.x * view.start_per_column + pixel.y * view.start_per_row;
+    let direction = view.direction + pixel.x * view.direction_per_column + pixel.y * view.direction_per_row;
+    var ray: RayInGrid;
+    ray.step = normalize(direction) * view.step_per_direction;
+    ray.inverse_step = vec3<f32>(inverse_of(ray.step.x), inverse_of(ray.step.y), inverse_of(ray.step.z));
+    let near = -start * ray.inverse_step;
+    let far = (view.last - start) * ray.inverse_step;
+    let from_each = min(near, far);
+    let to_each = max(near, far);
+    let begin = max(max(max(from_each.x, from_each.y), from_each.z), 0.0);
+    let end = min(min(to_each.x, to_each.y), to_each.z);
+    ray.length = end - begin;
+    ray.entry = clamp(start + begin * ray.step, vec3<f32>(0.0), view.last);
+    return ray;
+}
+
+// Where planes are crossed, one per axis, counted in samples of level 0.
+fn crossings(ray: RayInGrid, planes: vec3<f32>) -> vec3<f32> {
+    return (planes - ray.entry) * ray.inverse_step;
+}
+
+// The planes of a box, beyond everything at the grid's faces.
+fn low_planes(low: vec3<i32>) -> vec3<f32> {
+    return select(vec3<f32>(low) * view.cell_edge, vec3<f32>(-FAR), low <= vec3<i32>(0));
+}
+
+fn high_planes(high: vec3<i32>) -> vec3<f32> {
+    let planes = vec3<f32>(high) * view.cell_edge;
+    return select(planes, vec3<f32>(FAR), planes >= view.last);
+}
+
+// The cell that a ray is in after some samples, a plane that is just crossed being behind: along each axis, the one
+// between whose planes it is by the same numbers by which samples are shared out.
+fn cell_at(ray: RayInGrid, samples: f32) -> vec3<i32> {
+    var cell = vec3<i32>(floor((ray.entry + samples * ray.step) / view.cell_edge));
+    let is_ascending = ray.inverse_step > vec3<f32>(0.0);
+    let is_behind_low = crossings(ray, vec3<f32>(cell) * view.cell_edge) <= vec3<f32>(samples);
+    let is_behind_high = crossings(ray, vec3<f32>(cell + 1i) * view.cell_edge) <= vec3<f32>(samples);
+    let is_below = select(is_behind_low, !is_behind_low, is_ascending);
+    let is_above = select(!is_behind_high, is_behind_high, is_ascending);
+    cell = select(select(cell, cell + 1i, is_above), cell - 1i, is_below);
+    return clamp(cell, vec3<i32>(0), view.cells - 1i);
+}
+
+// The samples that a ray takes in a box: the first, and the one after the last. A function of the planes alone, so that
+// no sample is lost or taken twice between boxes that share one.
+//
+// scale: 2^-level of the samples
+fn sample_interval(ray: RayInGrid, low: vec3<f32>, high: vec3<f32>, scale: f32) -> vec2<f32> {
+    let a = ceil((low * scale - ray.entry * scale) * ray.inverse_step - 0.5);
+    let b = ceil((high * scale - ray.entry * scale) * ray.inverse_step - 0.5);
+    let from_each = min(a, b);
+    let to_each = max(a, b);
+    let first = max(max(max(from_each.x, from_each.y), from_each.z), 0.0);
+    let end = min(min(to_each.x, to_each.y), to_each.z);
+    return vec2<f32>(first, min(end, floor(ray.length * scale + 0.5)));
+}
+
+// The index of a sample of a brick, from its place counted from the core's first.
+fn sample_index(place: vec3<i32>) -> u32 {
+    let at = vec3<u32>(place + i32(view.low_apron));
+    return at.x + view.full_edge * (at.y + view.full_edge * at.z);
+}
+
+fn is_masked(brick: Brick, place: vec3<f32>) -> bool {
+    if brick.mask == NO_MASK {
+        return false;
+    }
+    let index = sample_index(vec3<i32>(floor(place + 0.5)));
+    return ((masks[brick.mask + (index >> 5u)] >> (index & 31u)) & 1u) == 1u;
+}
+
+// The value at a place that is a sample.
+fn fetch(brick: Brick, place: vec3<i32>) -> f32 {
+    if FETCH {
+        return decode_unit(brick.payload, brick.step, sample_index(place));
+    }
+    return textureLoad(pool, vec3<i32>(brick.texel) + place, 0).x;
+}
+
+// The value at a place, interpolated.
+fn value_at(brick: Brick, place: vec3<f32>) -> f32 {
+    if !FETCH {
+        return textureSampleLevel(pool, pool_sampler, (brick.texel + place + 0.5) * view.per_texel, 0.0).x;
+    }
+    let cell = floor(place);
+    let weight = place - cell;
+    let at = vec3<i32>(cell);
+    let near = mix_row(brick, at, weight.xy);
+    let far = mix_row(brick, at + vec3<i32>(0, 0, 1), weight.xy);
+    return mix(near, far, weight.z);
+}
+
+fn mix_row(brick: Brick, at: vec3<i32>, weight: vec2<f32>) -> f32 {
+    let low = mix(fetch(brick, at), fetch(brick, at + vec3<i32>(1, 0, 0)), weight.x);
+    let high = mix(fetch(brick, at + vec3<i32>(0, 1, 0)), fetch(brick, at + vec3<i32>(1, 1, 0)), weight.x);
+    return mix(low, high, weight.y);
+}
+
+// Classification. Twin: `Table::index` of the ray caster on the CPU.
+fn classify(brick: Brick, value: f32) -> vec4<f32> {
+    let index = value * brick.index_from_texel.x + brick.index_from_texel.y;
+    return colors[brick.colors + u32(clamp(index, 0.0, f32(NUM_COLORS - 1u)))];
+}
+
+fn color_at(brick: Brick, place: vec3<f32>) -> vec4<f32> {
+    if !INTERPOLATE_COLOR {
+        return classify(brick, value_at(brick, place));
+    }
+    let cell = floor(place);
+    let weight = place - cell;
+    var color = vec4<f32>(0.0);
+    for (var i = 0u; i < 8u; i++) {
+        let corner = vec3<u32>(i, i >> 1u, i >> 2u) & vec3<u32>(1u);
+        let w = select(1.0 - weight, weight, corner == vec3<u32>(1u));
+        color += w.x * w.y * w.z * classify(brick, fetch(brick, vec3<i32>(cell) + vec3<i32>(corner)));
+    }
+    return color;
+}
+
+fn difference_at(brick: Brick, place: vec3<f32>) -> vec3<f32> {
+    let x = vec3<f32>(1.0, 0.0, 0.0);
+    let y = vec3<f32>(0.0, 1.0, 0.0);
+    let z = vec3<f32>(0.0, 0.0, 1.0);
+    return vec3<f32>(
+        value_at(brick, place + x) - value_at(brick, place - x),
+        value_at(brick, place + y) - value_at(brick, place - y),
+        value_at(brick, place + z) - value_at(brick, place - z),
+    );
+}
+
+// Puts the samples of a brick behind what was gathered.
+fn march(ray: RayInGrid, brick: Brick, interval: vec2<f32>, before: vec4<f32>) -> vec4<f32> {
+    var pixel = before;
+    let entry = ray.entry * brick.scale;
+    for (var k = interval.x + 0.5; k < interval.y; k += 1.0) {
+        // Rounding may carry a place out of the cells of the core, around which the apron has all that is needed.
+        let place = clamp(entry + k * ray.step - brick.origin, vec3<f32>(0.0), vec3<f32>(view.most_place));
+        if is_masked(brick, place) {
+            continue;
+        }
+        let color = color_at(brick, place);
+        if color.w <= 0.0 {
+            continue;
+        }
+        var terms = vec2<f32>(1.0, 0.0);
+        if LIT {
+            terms = headlight_terms(view.lighting, difference_at(brick, place), ray.step);
+        }
+        pixel += pixel.w * vec4<f32>(color.xyz * terms.x + color.w * terms.y, -color.w);
+        if pixel.w <= LEAST_TRANSMITTANCE {
+            break;
+        }
+    }
+    return pixel;
+}
+
+// Puts a box of one colour behind what was gathered.
+fn cross_constant(constant: Constant, interval: vec2<f32>, before: vec4<f32>) -> vec4<f32> {
+    let num_samples = interval.y - interval.x;
+    if num_samples <= 0.0 {
+        return before;
+    }
+    let run = accumulate_constant(constant.color.w, constant.log_transmittance, num_samples);
+    return vec4<f32>(before.xyz + before.w * run.x * constant.color.xyz, before.w * run.y);
+}
+
+fn trace(ray: RayInGrid, before: vec4<f32>) -> vec4<f32> {
+    var pixel = before;
+    var samples = 0.0;
+    while samples < ray.length && pixel.w > LEAST_TRANSMITTANCE {
+        let here = locate(cell_at(ray, samples), view.root_level);
+        let low = low_planes(here.low);
+        let high = high_planes(here.low + here.edge);
+        if here.kind == KIND_BRICK {
+            let brick = bricks[here.number];
+            pixel = march(ray, brick, sample_interval(ray, low, high, brick.scale), pixel);
+        } else if here.kind == KIND_CONSTANT {
+            let constant = constants[here.number];
+            pixel = cross_constant(constant, sample_interval(ray, low, high, constant.scale), pixel);
+        }
+        let leave = max(crossings(ray, low), crossings(ray, high));
+        let exit = min(min(leave.x, leave.y), leave.z);
+        // It grows from box to box; were it to stand still, the ray would end rather than hang.
+        if !(exit > samples) {
+            break;
+        }
+        samples = exit;
+    }
+    return pixel;
+}
+
+@compute @workgroup_size(8, 8)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x >= view.num_columns || id.y >= view.num_rows {
+        return;
+    }
+    let at = id.y * view.num_columns + id.x;
+    var pixel = vec4<f32>(0.0, 0.0, 0.0, 1.0);
+    if view.is_first == 0u {
+        pixel = gathered[at];
+    }
+    let ray = ray_of(vec2<f32>(f32(id.x), f32(view.first_row + id.y)) + 0.5);
+    gathered[at] = trace(ray, pixel);
+}
