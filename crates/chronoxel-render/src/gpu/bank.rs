@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_codec::{Indices, Payload, Table};
-use chronoxel_core::BrickLayout;
+use chronoxel_core::{BitMask, BrickLayout};
 
 use super::device::Device;
 use super::host::StageData;
@@ -20,6 +20,28 @@ pub(super) struct Packed {
     /// The number of stages, their descriptions, their tables and indices.
     pub words: Vec<u32>,
     pub range: ValueRange,
+}
+
+impl Packed {
+    /// Puts a mask behind the payload, for where there is no pool.
+    pub fn append_mask(&mut self, mask: &BitMask, layout: &BrickLayout) -> Result<(), RenderError> {
+        self.words.extend(mask_words(mask, layout)?);
+        Ok(())
+    }
+}
+
+/// A mask as the shaders read it: a bit per sample, lowest first.
+///
+/// # Errors
+/// [`RenderError::InvalidArgument`] if it has not one bit per sample of core and apron.
+pub(super) fn mask_words(mask: &BitMask, layout: &BrickLayout) -> Result<Vec<u32>, RenderError> {
+    if mask.bytes.len() != layout.num_full().div_ceil(8) {
+        let remedy = "it must have one bit per sample of core and apron";
+        return Err(RenderError::invalid("brick's bytes of mask", mask.bytes.len(), remedy));
+    }
+    let mut words = Vec::new();
+    append(&mut words, &mask.bytes);
+    Ok(words)
 }
 
 /// The least value that a payload decodes to at any of its steps, and the distance to the largest.
@@ -110,13 +132,14 @@ fn range_of(payload: &Payload) -> ValueRange {
 pub(super) struct Place {
     pub bank: usize,
     pub word: u32,
+    /// The number of words, of which a mask is the last.
+    pub num_words: u32,
     pub range: ValueRange,
 }
 
 #[derive(Debug)]
 struct Held {
     place: Place,
-    num_words: u32,
     last_use: u64,
 }
 
@@ -178,8 +201,8 @@ impl Banks {
             return Ok(None);
         };
         device.upload(&self.banks[bank].buffer.raw, 4 * u64::from(word), cast_slice(&packed.words));
-        let place = Place { bank, word, range: packed.range };
-        self.held.insert(key, Held { place, num_words, last_use: now });
+        let place = Place { bank, word, num_words, range: packed.range };
+        self.held.insert(key, Held { place, last_use: now });
         self.by_use.insert(now, key);
         Ok(Some(place))
     }
@@ -191,8 +214,8 @@ impl Banks {
             return false;
         }
         self.by_use.remove(&last_use);
-        if let Some(Held { place, num_words, .. }) = self.held.remove(&key) {
-            release(&mut self.banks[place.bank].free, [place.word, num_words]);
+        if let Some(Held { place, .. }) = self.held.remove(&key) {
+            release(&mut self.banks[place.bank].free, [place.word, place.num_words]);
         }
         true
     }

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, HashSet};
 
 use bytemuck::cast_slice;
 use chronoxel_codec::{Payload, Table as CodedTable};
-use chronoxel_core::{BitMask, BrickLayout, ResolvedTransfer};
+use chronoxel_core::{BrickLayout, ResolvedTransfer};
 
-use super::bank::{Banks, Place, ValueRange, pack};
+use super::bank::{Banks, Place, ValueRange, mask_words, pack};
 use super::decode::{Decoder, Job};
 use super::device::Device;
 use super::host::{BrickData, ConstantData, NO_MASK};
@@ -104,6 +104,8 @@ enum Placed {
 struct Samples {
     slot: u32,
     payload: u32,
+    /// The first word of the mask, if there is one.
+    mask: u32,
     range: ValueRange,
 }
 
@@ -150,7 +152,7 @@ impl Residency {
         };
         here.hold_slots(device, wanted)?;
         let has_mask = |brick: &GpuBrick| matches!(&brick.how, GpuHow::Coded(coded) if coded.mask.is_some());
-        if bricks.iter().any(has_mask) {
+        if self.options.way == Way::Pool && bricks.iter().any(has_mask) {
             here.slots_mut().pool.hold_masks(device)?;
         }
         Ok(())
@@ -332,7 +334,7 @@ impl Here {
         if way == Way::Pool
             && let Some((slot, range)) = self.slots_mut().pool.find(key, step, now)
         {
-            let samples = Samples { slot, payload: 0, range };
+            let samples = Samples { slot, payload: 0, mask: slot * self.slots().pool.mask_words, range };
             return Ok(if is_seen(range) { Ok(samples) } else { Err(Placed::Nothing) });
         }
         check_step(&coded.payload, step)?;
@@ -345,8 +347,10 @@ impl Here {
         }
         let (payload, range) = (place.word, place.range);
         if way == Way::Fetch {
-            return Ok(Ok(Samples { slot: 0, payload, range }));
+            let mask = place.word + place.num_words - self.layout.num_full().div_ceil(32) as u32;
+            return Ok(Ok(Samples { slot: 0, payload, mask, range }));
         }
+        let layout = self.layout;
         let Slots { pool, decoder, .. } = self.slots_mut();
         let (slot, is_new) = match pool.place(key, step, range, since, now) {
             None => return Ok(Err(Placed::NoRoom)),
@@ -354,9 +358,9 @@ impl Here {
         };
         decoder.push(Job { slot, bank: place.bank, step }, place.word);
         if let (true, Some(mask)) = (is_new, &coded.mask) {
-            pool.upload_mask(device, slot, mask)?;
+            pool.upload_mask(device, slot, &mask_words(mask, &layout)?);
         }
-        Ok(Ok(Samples { slot, payload, range }))
+        Ok(Ok(Samples { slot, payload, mask: slot * pool.mask_words, range }))
     }
 
     /// Where a payload is, which is uploaded if need be; `None` where there is no room for it until what was used since
@@ -373,7 +377,10 @@ impl Here {
         if let Some(place) = self.banks.get(coded.key, now) {
             return Ok(Some(place));
         }
-        let packed = pack(&coded.payload, &self.layout)?;
+        let mut packed = pack(&coded.payload, &self.layout)?;
+        if let (Some(_), Some(mask)) = (keeps_all_since, &coded.mask) {
+            packed.append_mask(mask, &self.layout)?;
+        }
         loop {
             if let Some(place) = self.banks.put(device, coded.key, &packed, now)? {
                 stats.payloads_uploaded += 1;
@@ -433,7 +440,7 @@ fn brick_of(
 ) -> BrickData {
     let (edge, pool) = (scene.layout.edge, &here.slots().pool);
     let low = scene.layout.low as u32;
-    let mask = coded.mask.as_ref().map_or(NO_MASK, |_| samples.slot * pool.mask_words);
+    let mask = coded.mask.as_ref().map_or(NO_MASK, |_| samples.mask);
     BrickData {
         origin: brick.node.brick().map(|b| (f64::from(b) * edge as f64) as f32),
         scale: 1.0 / (1u64 << brick.node.level) as f32,
@@ -459,19 +466,10 @@ fn index_from_texel(table: &Table, range: ValueRange, is_float: bool) -> [f32; 2
 
 impl Pool {
     /// Uploads the mask of a slot.
-    fn upload_mask(&self, device: &Device, slot: u32, mask: &BitMask) -> Result<(), GpuError> {
-        let mut words = vec![0u32; self.mask_words as usize];
-        let bytes = bytemuck::cast_slice_mut::<u32, u8>(&mut words);
-        let num_bytes = (self.shape.full_edge.pow(3) as usize).div_ceil(8);
-        if mask.bytes.len() != num_bytes {
-            let remedy = "it must have one bit per sample of core and apron";
-            return Err(RenderError::invalid("brick's bytes of mask", mask.bytes.len(), remedy).into());
-        }
-        bytes[..num_bytes].copy_from_slice(&mask.bytes);
+    fn upload_mask(&self, device: &Device, slot: u32, words: &[u32]) {
         let offset = 4 * u64::from(slot) * u64::from(self.mask_words);
         if let Some(masks) = &self.masks {
-            device.upload(&masks.raw, offset, cast_slice(&words));
+            device.upload(&masks.raw, offset, cast_slice(words));
         }
-        Ok(())
     }
 }

@@ -2,6 +2,9 @@
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
+#[cfg(feature = "gpu")]
+pub mod cases;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -71,13 +74,19 @@ impl Field {
         ResidentBrick { samples, offset, scale, mask }
     }
 
-    /// All bricks of a level, in the order of a scene's camera.
-    pub fn draw_list(&self, scene: &Scene, level: u8, quantise: Quantise) -> Vec<DrawBrick> {
+    /// The nodes of a level.
+    pub fn nodes(&self, scene: &Scene, level: u8) -> Vec<NodeId> {
         let bricks = levels_of(&self.grid, &scene.layout)[usize::from(level)].bricks;
         let nodes = (0..bricks.iter().product::<usize>()).map(|i| {
             let at = [i % bricks[0], i / bricks[0] % bricks[1], i / (bricks[0] * bricks[1])];
             NodeId::new(level, at.map(|b| b as u32))
         });
+        nodes.collect()
+    }
+
+    /// All bricks of a level, in the order of a scene's camera.
+    pub fn draw_list(&self, scene: &Scene, level: u8, quantise: Quantise) -> Vec<DrawBrick> {
+        let nodes = self.nodes(scene, level).into_iter();
         let list = nodes.map(|node| self.draw_brick(scene, node, region_of(node, &scene.layout), quantise));
         in_view_order(scene, list.collect())
     }
@@ -104,7 +113,12 @@ pub fn region_of(node: NodeId, layout: &BrickLayout) -> [[f64; 3]; 2] {
 
 /// A draw list front to back.
 pub fn in_view_order(scene: &Scene, list: Vec<DrawBrick>) -> Vec<DrawBrick> {
-    let regions: Vec<_> = list.iter().map(|b| b.region).collect();
+    in_order(scene, list, |brick| brick.region)
+}
+
+/// What lies in regions, front to back.
+pub fn in_order<T: Clone>(scene: &Scene, list: Vec<T>, region: impl Fn(&T) -> [[f64; 3]; 2]) -> Vec<T> {
+    let regions: Vec<_> = list.iter().map(region).collect();
     let order = view_order(&regions, &scene.camera, &scene.grid, &scene.layout);
     order.into_iter().map(|i| list[i].clone()).collect()
 }

@@ -49,7 +49,7 @@ struct Brick {
     colors: u32,
     // Factor and offset from what the pool holds to the index of a colour.
     index_from_texel: vec2<f32>,
-    // The first word of its mask, or NO_MASK.
+    // The first word of its mask among the masks, or in the bank where samples are decoded at each fetch; or NO_MASK.
     mask: u32,
     // For decoding at each fetch: the first word of its payload in the bank, and the step in its span.
     payload: u32,
@@ -179,7 +179,14 @@ fn is_masked(brick: Brick, place: vec3<f32>) -> bool {
         return false;
     }
     let index = sample_index(vec3<i32>(floor(place + 0.5)));
-    return ((masks[brick.mask + (index >> 5u)] >> (index & 31u)) & 1u) == 1u;
+    let at = brick.mask + (index >> 5u);
+    var word: u32;
+    if FETCH {
+        word = bank[at];
+    } else {
+        word = masks[at];
+    }
+    return ((word >> (index & 31u)) & 1u) == 1u;
 }
 
 // The value at a place that is a sample.
