@@ -35,6 +35,10 @@ const TRANSFERS: [&str; 2] = ["sparse", "filled"];
 /// Size of the pictures and distance of samples, in voxels, as in the paper.
 const SIZE: [usize; 2] = [640, 480];
 const STEP_VOXELS: f64 = 0.5;
+/// Size of the pictures by which tolerances are searched.
+const SEARCH_SIZE: [usize; 2] = [320, 240];
+/// Steps whose pictures are looked at in a search, at most.
+const SEARCH_STEPS: usize = 4;
 /// Mean distances in L*u*v* from the picture without tolerance that the tolerances *slight* and *moderate* are searched for.
 const DISTANCES: [f64; 2] = [0.2, 0.8];
 
@@ -167,6 +171,10 @@ impl Case {
         self.session.draw(&self.view, step)
     }
 
+    fn pictures(&mut self, steps: impl IntoIterator<Item = usize>) -> anyhow::Result<Vec<Image8>> {
+        steps.into_iter().map(|step| Ok(shown(&self.draw(step)?))).collect()
+    }
+
     /// Draws every step.
     ///
     /// * `exact`: the pictures without tolerance
@@ -194,15 +202,17 @@ impl Case {
         self.view.coherence = None;
         self.session.forget_bricks();
         let plain = [self.pass(None)?.frame_ms, self.pass(None)?.frame_ms];
-        let exact: Vec<Image8> =
-            (0..self.num_steps).map(|step| Ok(shown(&self.draw(step)?))).collect::<anyhow::Result<_>>()?;
+        let exact = self.pictures(0..self.num_steps)?;
+        self.view.size = SEARCH_SIZE;
+        let exact_small = self.pictures(self.search_steps())?;
+        self.view.size = SIZE;
         on_part();
         let mut times: [Map<String, Value>; 3] = std::array::from_fn(|_| times_of("plain", plain));
         for (metric_index, (name, metric)) in METRICS.into_iter().enumerate() {
             for (tolerance_index, tolerance_name) in TOLERANCES.into_iter().enumerate() {
                 let tolerances = match tolerance_index {
                     0 => Tolerances::default(),
-                    i => self.tolerances(metric, DISTANCES[i - 1], &exact)?,
+                    i => self.tolerances(metric, DISTANCES[i - 1], &exact_small)?,
                 };
                 self.set_tolerances(metric, tolerances);
                 self.session.forget_bricks();
@@ -226,12 +236,14 @@ impl Case {
 
     /// Tolerances whose pictures differ by a distance: half of it from what is coherent in space, the rest from what is in time.
     fn tolerances(&mut self, metric: Metric, wanted: f64, exact: &[Image8]) -> anyhow::Result<Tolerances> {
+        self.view.size = SEARCH_SIZE;
         let spatial = search::tolerance(0.5 * wanted, |spatial| {
             self.distance(metric, Tolerances { spatial, temporal: 0.0 }, exact)
         })?;
         let temporal = search::tolerance(wanted, |temporal| {
             self.distance(metric, Tolerances { spatial, temporal }, exact)
         })?;
+        self.view.size = SIZE;
         Ok(Tolerances { spatial, temporal })
     }
 
@@ -244,16 +256,20 @@ impl Case {
         });
     }
 
-    /// Mean distance to the pictures without tolerance, at a few steps between the ends of the longer time nodes.
+    /// A few steps between the ends of the longer time nodes.
+    fn search_steps(&self) -> Vec<usize> {
+        let num = self.num_steps.min(SEARCH_STEPS);
+        (0..num).map(|i| (2 * i + 1) * self.num_steps / (2 * num)).collect()
+    }
+
+    /// Mean distance to the pictures without tolerance of [`Self::search_steps`].
     fn distance(&mut self, metric: Metric, tolerances: Tolerances, exact: &[Image8]) -> anyhow::Result<f64> {
         self.set_tolerances(metric, tolerances);
-        let num_looked_at = self.num_steps.min(6);
-        let mut sum = 0.0;
-        for i in 0..num_looked_at {
-            let step = (2 * i + 1) * self.num_steps / (2 * num_looked_at);
-            sum += luv_distance(&exact[step], &shown(&self.draw(step)?))?.0;
+        let (mut sum, num_steps) = (0.0, exact.len() as f64);
+        for (step, exact) in self.search_steps().into_iter().zip(exact) {
+            sum += luv_distance(exact, &shown(&self.draw(step)?))?.0 / num_steps;
         }
-        Ok(sum / num_looked_at as f64)
+        Ok(sum)
     }
 
     /// Seconds to compute each metric for all nodes and all steps.
