@@ -29,6 +29,7 @@ mod statistics_write;
 pub mod store;
 pub mod verify;
 mod verify_shard;
+mod verify_statistics;
 pub mod writer;
 
 pub use chunk::stored_len;

@@ -141,8 +141,9 @@ pub(crate) fn statistics_of(fields: &Fields) -> Result<NodeStatistics, String> {
     }
     let numbers = &fields[..NUM_FIELDS - 1];
     let is_empty = numbers.iter().all(|v| v.is_nan());
-    let is_sound = numbers.iter().all(|v| v.is_finite()) && min <= mean && mean <= max;
-    if !is_empty && !(is_sound && std >= 0.0 && temporal_error >= 0.0) {
+    let is_finite = numbers.iter().all(|v| v.is_finite());
+    let is_sound = is_finite && min <= mean && mean <= max && std >= 0.0 && temporal_error >= 0.0;
+    if !is_empty && !is_sound {
         return Err(format!("statistics are {numbers:?}"));
     }
     let bit = |bit: u8| facts as u8 >> bit & 1 == 1;

@@ -6,6 +6,8 @@ use std::{
     path::Path,
 };
 
+use chronoxel_core::TimeNode;
+
 use crate::{
     Header, Store, StoreError,
     arrays::{Child, SpanChunkId},
@@ -14,6 +16,7 @@ use crate::{
     journal, layout,
     store::{read_header, read_nodes},
     verify_shard::ShardCheck,
+    verify_statistics::{Families, GatheredRanges, StatisticsCheck},
     writer::nodes_file,
 };
 
@@ -31,6 +34,8 @@ pub struct VerifyReport {
     pub num_spans: u64,
     /// Payloads that were decoded, each for every step of its span.
     pub num_payloads: u64,
+    /// Statistics that were checked, each of an octree node over a time node.
+    pub num_statistics: u64,
     seen: HashSet<String>,
 }
 
@@ -64,7 +69,7 @@ pub(crate) struct Counted {
 /// Checked are: the header's checksum, the metadata of every group and array byte for byte, the nodes, missing and
 /// unexpected files (but for the journal of a writer that did not finish), the index and every inner chunk of every shard, that chunks fill their shard end to end and belong
 /// to a span each, that the spans of each node partition time, that shared payloads and masks exist, that decoded
-/// samples lie within the drawn range, statistics, and totals. Of a store that is not complete the finished steps are checked.
+/// samples lie within the drawn range, statistics of spans and of the time tree, and totals. Of a store that is not complete the finished steps are checked.
 pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyReport {
     let mut report = VerifyReport::default();
     check_header(store, &mut report);
@@ -72,17 +77,16 @@ pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyRepo
     let num_shards: u64 = header.each_window().map(|(_, _, w)| u64::from(header.num_shards(w))).sum();
     let num_steps = u64::from(header.num_steps_finished);
     let num_covers = (header.variables.len() * header.levels.len()) as u64 * num_steps;
-    let (total, mut done) = (num_shards + num_covers, 0);
+    let num_chunks =
+        |(_, time_level)| header.num_statistics_chunks_over(time_level, header.num_steps_finished);
+    let num_chunks: u64 = header.each_time_level().map(num_chunks).map(u64::from).sum();
+    let (total, mut done) = (num_shards + num_covers + num_chunks, 0);
     let mut counted = Counted { ranges: vec![[None; 2]; header.variables.len()], ..Counted::default() };
     for (variable, level) in
         (0..header.variables.len()).flat_map(|v| (0..header.levels.len() as u8).map(move |level| (v, level)))
     {
-        for step in 0..header.num_steps_finished {
-            if let Err(error) = store.spans(variable, level, step) {
-                report.add(error);
-            }
-            done += 1;
-        }
+        check_covers(store, variable, level, &mut report);
+        done += num_steps;
         progress(done, total);
         for &window in &header.variables[variable].windows {
             for shard in 0..header.num_shards(window) {
@@ -93,11 +97,44 @@ pub fn verify(store: &Store, progress: &(dyn Fn(u64, u64) + Sync)) -> VerifyRepo
             }
         }
     }
+    let families = Families::of(store);
+    for (variable, time_level) in header.each_time_level() {
+        let check = StatisticsCheck { store, families: &families, variable, time_level };
+        for chunk in 0..header.num_statistics_chunks_over(time_level, header.num_steps_finished) {
+            check.run(chunk, &mut report);
+            done += 1;
+            progress(done, total);
+        }
+    }
     check_files(store, &mut report, &mut counted);
     if store.is_complete() {
         check_totals(store, &counted, &mut report);
     }
     report
+}
+
+/// Checks that at each step a span of each node holds it, and that the finest say what the statistics of their steps do.
+fn check_covers(store: &Store, variable: usize, level: u8, report: &mut VerifyReport) {
+    let mut gathered = GatheredRanges::new(store.header().num_nodes(level));
+    for step in 0..store.header().num_steps_finished {
+        let spans = match store.spans(variable, level, step) {
+            Ok(spans) => spans,
+            Err(error) => {
+                report.add(error);
+                gathered = GatheredRanges::new(store.header().num_nodes(level));
+                continue;
+            }
+        };
+        let at = TimeNode::of_step(step);
+        if level > 0 || !store.has_statistics(at) {
+            continue;
+        }
+        // What cannot be read is reported where its own chunk is checked.
+        let row = store.statistics(variable, at).ok();
+        for (node, problem) in gathered.add(step, &spans, row.as_deref()) {
+            report.add(store.brick_error(store.path(), variable, level, node as u32, step, problem));
+        }
+    }
 }
 
 fn check_header(store: &Store, report: &mut VerifyReport) {

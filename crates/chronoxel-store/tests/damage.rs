@@ -1,13 +1,14 @@
 //! Damage anywhere is found: every flipped byte, every missing, cut or added file, and never a panic.
 
 mod common;
+mod known;
 
 use std::path::Path;
 
 use chronoxel_core::SpanKind;
 use chronoxel_store::{Store, verify};
 
-use common::{copy_folder, description, tree_of, write_store};
+use common::{copy_folder, description, tree_of, with_time_tree, write_store};
 
 /// The problems of a store, whether they show when it is opened or when it is verified.
 fn problems_of(path: &Path) -> Vec<String> {
@@ -21,7 +22,7 @@ fn problems_of(path: &Path) -> Vec<String> {
 fn a_sound_store_has_no_problems() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.cxl");
-    write_store(&path, &description([20, 13, 9], 4));
+    write_store(&path, &with_time_tree(description([20, 13, 9], 4)));
     let store = Store::open(&path).unwrap();
     let last = std::sync::Mutex::new((0, 1));
     let report = verify(&store, &|done, total| *last.lock().unwrap() = (done, total));
@@ -37,7 +38,7 @@ fn a_sound_store_has_no_problems() {
 fn a_flipped_byte_anywhere_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.cxl");
-    write_store(&path, &description([9, 8, 8], 2));
+    write_store(&path, &with_time_tree(description([9, 8, 8], 2)));
     let mut num_flips = 0;
     for (name, bytes) in tree_of(&path) {
         let file = path.join(&name);
@@ -62,7 +63,7 @@ fn a_flipped_byte_anywhere_is_found() {
 fn a_missing_cut_or_added_file_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.cxl");
-    write_store(&path, &description([9, 8, 8], 2));
+    write_store(&path, &with_time_tree(description([9, 8, 8], 2)));
     for (name, bytes) in tree_of(&path) {
         let file = path.join(&name);
         std::fs::remove_file(&file).unwrap();
@@ -85,7 +86,7 @@ fn a_missing_cut_or_added_file_is_found() {
 fn what_belongs_to_no_data_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.cxl");
-    write_store(&path, &description([9, 8, 8], 2));
+    write_store(&path, &with_time_tree(description([9, 8, 8], 2)));
     let (sound, class) = (tree_of(&path), path.join("speed/L0/W1/C0"));
     assert!(!class.exists(), "speed is of class 1 only");
     // Metadata of an array without a file, right as it may be; then a folder without that.

@@ -1,17 +1,18 @@
 //! Stores made to harm: checksums are right, what they guard is not. Every one is an error, none a panic or a large allocation.
 
 mod common;
+mod known;
 
 use std::path::{Path, PathBuf};
 
 use chronoxel_store::{Store, verify};
 
-use common::{description, write_store};
+use common::{description, tree_of, with_time_tree, write_store};
 
 /// A small store in a folder of its own.
 fn store(folder: &Path) -> PathBuf {
     let path = folder.join("a.cxl");
-    write_store(&path, &description([9, 8, 8], 2));
+    write_store(&path, &with_time_tree(description([9, 8, 8], 2)));
     path
 }
 
@@ -65,6 +66,13 @@ fn headers_that_lie_are_refused() {
         ("\"encoder\"", "\"surprise\"", "surprise"),
         ("\"zstd_level\": 1", "\"zstd_level\": 99", "zstd_level"),
         ("\"sparse\": true", "\"sparse\": 7", "attributes.chronoxel"),
+        ("\"stride\":1", "\"stride\":0", "time_tree.stride"),
+        ("\"stride\":1", "\"stride\":3", "time_tree.stride"),
+        ("\"stride\":1", "\"stride\":4294967292", "time_tree.stride"),
+        ("\"stride\":1", "\"stride\":4294967297", "attributes.chronoxel"),
+        ("\"stride\":1", "\"stride\":-1", "attributes.chronoxel"),
+        ("\"stride\":1", "\"stride\":1,\"more\":1", "more"),
+        ("\"stride\":1", "", "stride"),
     ] {
         std::fs::write(path.join("zarr.json"), &original).unwrap();
         edit_header(&path, from, to);
@@ -197,6 +205,102 @@ fn spans_that_contradict_the_header_are_refused() {
             .iter()
             .any(|p| p.contains("no span holds step 0") && p.contains("brick (0, 0, 0)"))
     );
+}
+
+/// A value in the statistics of a variable `speed`: level of the time tree, index of the time node, node, field.
+struct Edit(u8, usize, usize, usize, f64);
+
+/// Puts a value into a chunk of statistics of three nodes, checksums right.
+fn edit_statistics(path: &Path, &Edit(level, index, node, field, value): &Edit) {
+    let file = path.join(format!("speed/time/T{level}/c.0.0.0"));
+    let stored = std::fs::read(&file).unwrap();
+    let num_places = [4, 2, 1][usize::from(level)] * 3;
+    let mut bytes = zstd::bulk::decompress(&stored[..stored.len() - 4], num_places * 6 * 8).unwrap();
+    // Stored field after field.
+    let at = 8 * (field * num_places + index * 3 + node);
+    bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
+    std::fs::write(&file, with_crc(&zstd::bulk::compress(&bytes, 1).unwrap())).unwrap();
+}
+
+#[test]
+fn statistics_that_contradict_each_other_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.cxl");
+    // Two bricks and their parent, three steps: four rows of single steps, the last of them blank; two of pairs; one.
+    write_store(&path, &with_time_tree(description([9, 8, 8], 3)));
+    assert_eq!(problems_of(&path), [] as [&str; 0]);
+    let sound = tree_of(&path);
+    // Bits of the facts: uniform, static, masked, mask changes. Node 0 has waves, and all have a mask that stays.
+    for (edit, message) in [
+        (Edit(0, 0, 0, 0, -9.0), "[-9.0, 288.0] of the node's children"),
+        (Edit(0, 0, 0, 0, -9.0), "the range of its steps is [-9.0"),
+        (Edit(0, 2, 1, 1, 600.0), "the range of its steps is [0.0, 600.0]"),
+        (Edit(0, 0, 0, 0, 9.0), "statistics are [9.0"),
+        (Edit(0, 0, 0, 1, f64::INFINITY), "statistics are"),
+        (Edit(0, 0, 0, 2, f64::NAN), "statistics are"),
+        (Edit(0, 0, 0, 3, -1.0), "statistics are"),
+        (Edit(0, 0, 0, 3, 9.0), "std is more than half the range"),
+        (Edit(0, 0, 0, 4, 1e-9), "temporal_error is not that of facts"),
+        (Edit(1, 0, 0, 4, 0.0), "temporal_error is not that of facts"),
+        (Edit(0, 0, 0, 5, 16.0), "facts are 16"),
+        (Edit(0, 0, 0, 5, 0.5), "facts are 0.5"),
+        (Edit(0, 0, 0, 5, -1.0), "facts are -1"),
+        (Edit(0, 0, 0, 5, f64::NAN), "facts are NaN"),
+        (Edit(0, 0, 0, 5, 0.0), "a single step changes"),
+        (Edit(0, 0, 0, 5, 3.0), "they are uniform, but samples differ"),
+        (Edit(0, 0, 0, 5, 1.0), "facts contradict each other"),
+        (Edit(0, 0, 1, 5, 14.0), "facts contradict each other"),
+        (Edit(0, 0, 2, 5, 2.0), "are not those of the node's children"),
+        (Edit(1, 0, 0, 5, 0.0), "are not those of the halves of the steps"),
+        (Edit(1, 1, 0, 5, 0.0), "temporal_error is not that of facts"),
+        (Edit(1, 0, 0, 0, -9.0), "of the halves of the steps"),
+        (Edit(2, 0, 2, 1, 600.0), "max 600 are not"),
+        (Edit(1, 0, 2, 2, 250.0), "mean 250 is not within"),
+        (Edit(2, 0, 2, 3, 0.0), "std 0 is less than"),
+        (Edit(0, 3, 1, 5, 0.0), "they lie after the series"),
+    ] {
+        edit_statistics(&path, &edit);
+        let Edit(level, index, node, field, value) = edit;
+        let problems = problems_of(&path);
+        let named = format!("T{level}/c.0.0.0");
+        assert!(
+            problems
+                .iter()
+                .any(|p| p.contains(message) && (p.contains(&named) || p.contains("range of its"))),
+            "T{level} row {index}, node {node}, field {field} = {value}: {problems:?}"
+        );
+        let file = format!("speed/time/T{level}/c.0.0.0");
+        let original = sound.iter().find(|(name, _)| name.to_string_lossy() == file).unwrap();
+        std::fs::write(path.join(file), &original.1).unwrap();
+    }
+    assert_eq!(problems_of(&path), [] as [&str; 0]);
+}
+
+#[test]
+fn statistics_that_are_lost_or_too_large_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = store(folder.path());
+    let file = path.join("speed/time/T1/c.0.0.0");
+    let bomb = with_crc(&zstd::bulk::compress(&vec![0u8; 1 << 28], 1).unwrap());
+    for (bytes, message) in
+        [(bomb, "size in bytes is"), (with_crc(b"1234"), "zstd"), (vec![0; 3], "checksum")]
+    {
+        std::fs::write(&file, bytes).unwrap();
+        let problems = problems_of(&path);
+        assert!(problems.iter().any(|p| p.contains("time/T1/c.0") && p.contains(message)), "{problems:?}");
+    }
+    std::fs::remove_file(&file).unwrap();
+    let store = Store::open(&path).unwrap();
+    let root = chronoxel_core::TimeNode::root(2);
+    let error = store.statistics(0, root).unwrap_err().to_string();
+    assert!(error.contains("T1/c.0.0.0: file is absent: the statistics"), "{error}");
+    assert!(store.statistics(1, root).is_ok() && store.statistics(2, root).is_err());
+    // A header that denies them: their files belong to nothing.
+    edit_header(&path, "\"time_tree\": {\"stride\":1},\n", "");
+    let problems = problems_of(&path);
+    assert!(problems.iter().any(|p| p.contains("T0/c.0.0.0: file is unexpected")), "{problems:?}");
+    let error = Store::open(&path).unwrap().statistics(0, root).unwrap_err().to_string();
+    assert!(error.contains("the store has no statistics"), "{error}");
 }
 
 #[test]

@@ -1,12 +1,16 @@
 //! A writer that stops anywhere leaves a store that opens, and that a resume completes to the same bytes.
 
 mod common;
+mod known;
 
 use std::path::Path;
 
 use chronoxel_store::{Store, StoreDescription, StoreWriter, verify};
 
-use common::{copy_folder, description, field, spans_of, tree_of, write_steps, write_store};
+use common::{
+    copy_folder, description, field, put_statistics, spans_of, tree_of, with_time_tree, write_steps,
+    write_store,
+};
 
 /// Opens a store that may not be complete and checks what is finished of it.
 fn check_partial(path: &Path) -> u32 {
@@ -29,7 +33,7 @@ fn resume_and_finish(path: &Path, description: &StoreDescription) {
 /// Copies the store after every put and every commit, resumes each copy, and compares.
 fn resume_from_everywhere(dims: [usize; 3], num_steps: usize, stride: usize) -> Vec<u32> {
     let folder = tempfile::tempdir().unwrap();
-    let description = description(dims, num_steps);
+    let description = with_time_tree(description(dims, num_steps));
     let whole = folder.path().join("whole.cxl");
     write_store(&whole, &description);
     let expected = tree_of(&whole);
@@ -57,6 +61,8 @@ fn resume_from_everywhere(dims: [usize; 3], num_steps: usize, stride: usize) -> 
             writer.put(variable, level, spans_of(&description, variable, level, step, field)).unwrap();
             check(&path);
         }
+        put_statistics(&mut writer, &description, step).unwrap();
+        check(&path);
         writer.commit_step(step).unwrap();
         check(&path);
     }
@@ -76,7 +82,7 @@ fn a_resume_from_any_moment_gives_the_same_bytes() {
 #[test]
 fn a_commit_that_was_cut_short_is_taken_back() {
     let folder = tempfile::tempdir().unwrap();
-    let description = description([20, 13, 9], 130);
+    let description = with_time_tree(description([20, 13, 9], 130));
     let whole = folder.path().join("whole.cxl");
     write_store(&whole, &description);
     let expected = tree_of(&whole);
@@ -118,7 +124,7 @@ fn a_commit_that_was_cut_short_is_taken_back() {
 #[test]
 fn what_was_finished_is_kept_when_a_writer_gives_up() {
     let folder = tempfile::tempdir().unwrap();
-    let description = description([20, 13, 9], 70);
+    let description = with_time_tree(description([20, 13, 9], 70));
     let path = folder.path().join("a.cxl");
     let whole = folder.path().join("whole.cxl");
     write_store(&whole, &description);
@@ -139,7 +145,7 @@ fn what_was_finished_is_kept_when_a_writer_gives_up() {
 #[test]
 fn what_the_encoder_carries_is_that_of_the_commit() {
     let folder = tempfile::tempdir().unwrap();
-    let description = description([20, 13, 9], 70);
+    let description = with_time_tree(description([20, 13, 9], 70));
     let path = folder.path().join("a.cxl");
     let carried = |step: u32| serde_json::json!({ "step": step, "rate": 0.1 + f64::from(step) });
     let mut writer = StoreWriter::create(&path, &description, false).unwrap();
@@ -164,7 +170,7 @@ fn what_the_encoder_carries_is_that_of_the_commit() {
 #[test]
 fn another_description_or_a_damaged_journal_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let first = description([20, 13, 9], 70);
+    let first = with_time_tree(description([20, 13, 9], 70));
     let path = folder.path().join("a.cxl");
     let mut writer = StoreWriter::create(&path, &first, false).unwrap();
     write_steps(&mut writer, &first, 0..64).unwrap();
@@ -185,7 +191,7 @@ fn another_description_or_a_damaged_journal_is_refused() {
 #[test]
 fn files_that_a_stopped_machine_lost_are_named() {
     let folder = tempfile::tempdir().unwrap();
-    let description = description([20, 13, 9], 130);
+    let description = with_time_tree(description([20, 13, 9], 130));
     let path = folder.path().join("a.cxl");
     let mut writer = StoreWriter::create(&path, &description, false).unwrap();
     write_steps(&mut writer, &description, 0..64).unwrap();

@@ -1,16 +1,17 @@
 //! What a store takes beside its payloads, and what is read of it per step.
 
 mod common;
+mod known;
 
 use std::{collections::BTreeMap, path::Path};
 
 use chronoxel_codec::{Indices, PayloadClass, Stage, StageClass, Table, TableClass, stage_to_bytes};
 use chronoxel_core::{
-    BrickLayout, NodeId, Octree, SampleType, SpanKind, SpanStatistics, TimeAxis, UniformGrid,
+    BrickLayout, NodeId, Octree, SampleType, SpanKind, SpanStatistics, TimeAxis, TimeNode, UniformGrid,
     octree::levels_of,
 };
 use chronoxel_store::{
-    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, VariableDescription, verify,
+    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription, verify,
 };
 
 /// 20 classes: one to four stages of 16, 64 or 256 entries for windows of 2 to 16, and affine ones.
@@ -51,6 +52,11 @@ fn description(edge: usize, dims: [usize; 3], num_steps: u32) -> StoreDescriptio
     }
 }
 
+fn phase_of(node: NodeId, window: u32) -> u32 {
+    let [x, y, z] = node.brick();
+    (x + 3 * y + 5 * z) % window
+}
+
 /// Writes a series in windows of one length out of phase, with what `content` puts into them.
 fn write(
     path: &Path,
@@ -60,13 +66,25 @@ fn write(
 ) {
     let num_steps = description.times.num_steps() as u32;
     let mut writer = StoreWriter::create(path, description, false).unwrap();
+    // The windows of a node start at its phase, and the first is what precedes it.
+    let statistics = description.time_tree.map(|_| {
+        known::agreeing(&description.tree, num_steps, |rank, step| {
+            let node = NodeId { level: 0, morton: description.tree.nodes(0)[rank] };
+            let phase = phase_of(node, window);
+            let start = if step < phase { 0 } else { step - (step - phase) % window };
+            content(node, start).2
+        })
+    });
     for step in 0..num_steps {
+        for (at, statistics) in TimeNode::closed_by(step, num_steps).zip(statistics.iter().cycle()) {
+            let row = &statistics[usize::from(at.level)][at.index as usize];
+            writer.put_statistics(0, at, row).unwrap();
+        }
         for level in 0..description.tree.num_levels() as u8 {
             let nodes = description.tree.nodes(level).iter().enumerate();
             let batch = nodes.filter_map(|(rank, &morton)| {
                 let node = NodeId { level, morton };
-                let [x, y, z] = node.brick();
-                let phase = (x + 3 * y + 5 * z) % window;
+                let phase = phase_of(node, window);
                 if step + 1 < num_steps && (step + 1) % window != phase % window {
                     return None;
                 }
@@ -96,6 +114,7 @@ fn parts(path: &Path) -> BTreeMap<&'static str, (usize, usize)> {
             name if name.ends_with("zarr.json") => "metadata",
             name if name.starts_with("nodes") => "nodes",
             name if name.contains("/spans/") => "spans",
+            name if name.contains("/time/") => "time tree",
             _ => "shards",
         };
         let (num_bytes, num_files) = parts.entry(part).or_insert((0, 0));
@@ -108,7 +127,8 @@ fn parts(path: &Path) -> BTreeMap<&'static str, (usize, usize)> {
 #[test]
 fn a_store_of_constants_is_small() {
     let folder = tempfile::tempdir().unwrap();
-    let description = description(32, [128; 3], 36);
+    let time_tree = Some(TimeTreeEntry { stride: 1 });
+    let description = StoreDescription { time_tree, ..description(32, [128; 3], 36) };
     let mut totals = Vec::new();
     for (name, amplitude) in [("constant", 0.0), ("varied", 1.0)] {
         let path = folder.path().join(name).with_extension("cxl");
@@ -130,10 +150,11 @@ fn a_store_of_constants_is_small() {
         assert!(report.is_ok(), "{:?}", report.problems);
         let parts = parts(&path);
         println!("{name}: {} bytes, (bytes, files): {parts:?}", store.stored_bytes().unwrap());
-        totals.push(store.stored_bytes().unwrap());
+        totals.push((store.stored_bytes().unwrap(), parts["time tree"].0));
     }
-    // The header with its 20 classes, 10 fixed folders, spans of three levels.
-    assert!(totals[0] < 16_000 && totals[1] < 40_000, "{totals:?}");
+    // The header with its 20 classes, 18 fixed folders, spans of three levels; of the time tree, 74 runs of steps of 73 nodes.
+    assert!(totals[0].0 < 16_000 && totals[1].0 < 60_000, "{totals:?}");
+    assert!(totals[0].1 < 2_000 && totals[1].1 < 6 * 74 * 73, "{totals:?}");
 }
 
 /// A payload of the class of 256 entries for windows of 8 that zstd makes little of.

@@ -2,6 +2,7 @@
 //! way, the finished store is that of an uninterrupted run, and at every moment what is finished can be read.
 
 mod common;
+mod known;
 
 use std::{
     collections::BTreeSet,
@@ -12,11 +13,11 @@ use chronoxel_codec::{
     Indices, Payload, PayloadClass, Stage, StageClass, Table, TableClass, decoded_range, stage_to_bytes,
 };
 use chronoxel_core::{
-    BitMask, BrickLayout, NodeId, Octree, SampleType, SpanKind, SpanRecord, SpanStatistics, TimeAxis,
-    UniformGrid, octree::levels_of,
+    BitMask, BrickLayout, NodeId, NodeStatistics, Octree, SampleType, SpanKind, SpanRecord, SpanStatistics,
+    TimeAxis, TimeNode, UniformGrid, octree::levels_of,
 };
 use chronoxel_store::{
-    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, VariableDescription, verify,
+    SpanContent, SpanWrite, Store, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription, verify,
 };
 
 use common::{copy_folder, tree_of};
@@ -52,6 +53,8 @@ struct Case {
     description: StoreDescription,
     longest: u32,
     spans: Vec<Vec<Vec<Vec<Due>>>>,
+    /// `[variable][time level][index]`: statistics of all nodes; empty where the store has no time tree.
+    statistics: Vec<Vec<Vec<Vec<NodeStatistics>>>>,
 }
 
 fn classes(windows: &[u32]) -> Vec<PayloadClass> {
@@ -180,7 +183,7 @@ fn case(random: &mut Random) -> Case {
         tree: tree(random, &grid, &layout),
         variables: variables.collect(),
         zstd_level: 1,
-        time_tree: None,
+        time_tree: (!random.one_in(4)).then_some(TimeTreeEntry { stride: 1 }),
         encoder: serde_json::Value::Null,
     };
     // Spans may come one by one, or all those of a window at its end.
@@ -210,7 +213,14 @@ fn case(random: &mut Random) -> Case {
         });
         spans.push(levels.collect());
     }
-    Case { description, longest, spans }
+    let of_variable = |spans: &Vec<Vec<Vec<Due>>>| {
+        known::agreeing(&description.tree, num_steps, |node, step| {
+            let holds = |due: &&Due| (due.span.start..due.span.start + due.span.len).contains(&step);
+            spans[0][node].iter().find(holds).unwrap().span.statistics
+        })
+    };
+    let statistics = description.time_tree.map_or(Vec::new(), |_| spans.iter().map(of_variable).collect());
+    Case { description, longest, spans, statistics }
 }
 
 impl Case {
@@ -243,6 +253,7 @@ impl Case {
                     }
                 }
             }
+            self.put_statistics(&mut writer, step);
             writer.set_carry(serde_json::json!(step));
             writer.commit_step(step).unwrap();
             if stop(Some(step), &writer) {
@@ -250,6 +261,32 @@ impl Case {
             }
         }
         Some(writer)
+    }
+
+    fn put_statistics(&self, writer: &mut StoreWriter, step: u32) {
+        for (variable, levels) in self.statistics.iter().enumerate() {
+            for at in TimeNode::closed_by(step, self.num_steps()) {
+                let row = &levels[usize::from(at.level)][at.index as usize];
+                writer.put_statistics(variable, at, row).unwrap();
+            }
+        }
+    }
+
+    /// Holds all statistics that can be read against those that were put.
+    fn check_statistics(&self, store: &Store) {
+        for (variable, levels) in self.statistics.iter().enumerate() {
+            for (level, rows) in levels.iter().enumerate() {
+                for (index, due) in rows.iter().enumerate() {
+                    let at = TimeNode { level: level as u8, index: index as u32 };
+                    assert!(store.has_statistics(at) || !store.is_complete());
+                    assert_eq!(store.has_statistics(at), store.statistics(variable, at).is_ok());
+                    if let Ok(found) = store.statistics(variable, at) {
+                        // Debug text, since absent ones are NaN.
+                        assert_eq!(format!("{found:?}"), format!("{due:?}"));
+                    }
+                }
+            }
+        }
     }
 
     fn expected(&self, variable: usize, level: usize, node: usize, step: u32) -> &SpanWrite {
@@ -277,6 +314,7 @@ impl Case {
                 assert!(store.spans(variable, level as u8, finished).is_err());
             }
         }
+        self.check_statistics(&store);
         if thorough {
             let report = verify(&store, &|_, _| {});
             assert!(report.is_ok(), "{:?}", report.problems);

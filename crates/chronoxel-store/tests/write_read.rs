@@ -1,6 +1,7 @@
 //! What is written is what is read: spans, payloads, masks, sharing, whatever the number of threads.
 
 mod common;
+mod known;
 
 use chronoxel_codec::{decode_f64, decode_resident};
 use chronoxel_core::{NodeId, SpanKind};

@@ -2,16 +2,22 @@
 
 #![allow(dead_code)] // each test binary uses its part
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::Mutex,
+};
 
 use chronoxel_codec::{Payload, PayloadClass, decoded_range, quantize_affine, stage_to_bytes};
 use chronoxel_core::{
-    BitMask, BrickLayout, NodeId, Octree, SampleType, SpanStatistics, TimeAxis, UniformGrid,
-    octree::levels_of,
+    BitMask, BrickLayout, NodeId, NodeStatistics, Octree, SampleType, SpanStatistics, TimeAxis, TimeNode,
+    UniformGrid, octree::levels_of,
 };
 use chronoxel_store::{
-    SpanContent, SpanWrite, StoreDescription, StoreError, StoreWriter, VariableDescription,
+    SpanContent, SpanWrite, StoreDescription, StoreError, StoreWriter, TimeTreeEntry, VariableDescription,
 };
+
+use crate::known::Known;
 
 /// What may lie at a sample.
 pub type Field = fn(variable: usize, voxel: [usize; 3], step: u32) -> f64;
@@ -149,6 +155,42 @@ fn span_of(
     span(SpanContent::Coded { class, stages }, mask, drawn_range)
 }
 
+/// The same store with a time tree.
+pub fn with_time_tree(description: StoreDescription) -> StoreDescription {
+    StoreDescription { time_tree: Some(TimeTreeEntry { stride: 1 }), ..description }
+}
+
+/// A variable, the dimensions of a grid, a number of steps.
+type Series = (usize, [usize; 3], usize);
+
+/// What was worked out of [`field`].
+static KNOWN: Mutex<BTreeMap<Series, Known>> = Mutex::new(BTreeMap::new());
+
+/// The statistics of all nodes over a time node.
+pub fn statistics_of(description: &StoreDescription, variable: usize, at: TimeNode) -> Vec<NodeStatistics> {
+    let mut known = KNOWN.lock().unwrap();
+    let known =
+        known.entry((variable, description.grid.dims, description.times.num_steps())).or_insert_with(|| {
+            Known::new(description, |node, step| samples(description, variable, node, step, field))
+        });
+    known.row(at).to_vec()
+}
+
+/// Puts the statistics that a step brings.
+pub fn put_statistics(
+    writer: &mut StoreWriter,
+    description: &StoreDescription,
+    step: u32,
+) -> Result<(), StoreError> {
+    let num_steps = description.times.num_steps() as u32;
+    for at in TimeNode::closed_by(step, num_steps).filter(|_| description.time_tree.is_some()) {
+        for variable in 0..description.variables.len() {
+            writer.put_statistics(variable, at, &statistics_of(description, variable, at))?;
+        }
+    }
+    Ok(())
+}
+
 /// Puts and commits steps `from..to`.
 pub fn write_steps(
     writer: &mut StoreWriter,
@@ -156,6 +198,7 @@ pub fn write_steps(
     steps: std::ops::Range<u32>,
 ) -> Result<(), StoreError> {
     for step in steps {
+        put_statistics(writer, description, step)?;
         for variable in 0..description.variables.len() {
             for level in 0..description.tree.num_levels() as u8 {
                 writer.put(variable, level, spans_of(description, variable, level, step, field))?;

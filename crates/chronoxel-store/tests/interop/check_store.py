@@ -4,7 +4,8 @@
     python check_store.py STORE [SAMPLES.json]
 
 Every group and array is opened and every chunk of it read, and the last step of the finest level is decoded and held
-against the drawn ranges. With SAMPLES.json, decoded samples that Chronoxel
+against the drawn ranges. The statistics of the time tree, where there are any, are held against each other, the spans
+and the decoded samples. With SAMPLES.json, decoded samples that Chronoxel
 wrote (`cargo run -p chronoxel-store --example print_samples -- STORE`) are compared bit by bit.
 """
 
@@ -95,6 +96,90 @@ def decode(header, variable, level, step):
     return [bricks[node] for node in range(nodes)]
 
 
+def read_time_tree(header, group):
+    """The statistics of a variable, one array [index, node, field] for each level of the time tree."""
+    num_steps = len(header["times"]["times"])
+    num_nodes = sum(level["num_nodes"] for level in header["levels"])
+    levels = []
+    while not levels or levels[-1].shape[0] > 1:
+        array = header["root"][f"{group['folder']}/time/T{len(levels)}"]
+        assert array.attrs["fields"] == ["min", "max", "mean", "std", "temporal_error", "facts"]
+        assert array.shape == (math.ceil(num_steps / 2 ** len(levels)), num_nodes, 6), array.shape
+        levels.append(array[...])
+    assert f"{group['folder']}/time/T{len(levels)}" not in header["root"]
+    return levels
+
+
+def span_ranges(header, group):
+    """Start, length, node and range of every span of level 0, rounded outward to single precision."""
+    for window in group["windows"]:
+        path = f"{group['folder']}/L0/W{window}/spans"
+        if path not in header["root"]:
+            continue
+        spans = header["root"][path]
+        fields = {name: i for i, name in enumerate(spans.attrs["fields"])}
+        for row in spans[...]:
+            for node, span in enumerate(row):
+                if math.isnan(span[0]):
+                    continue
+                low, high = (span[fields[name]] for name in ("min", "max"))
+                rounded = [numpy.float32(low), numpy.float32(high)]
+                if rounded[0] > low:
+                    rounded[0] = numpy.nextafter(rounded[0], numpy.float32(-math.inf))
+                if rounded[1] < high:
+                    rounded[1] = numpy.nextafter(rounded[1], numpy.float32(math.inf))
+                yield int(span[0]), int(span[1]), node, rounded
+
+
+def same(a, b):
+    return numpy.array_equal(numpy.asarray(a, float), numpy.asarray(b, float), equal_nan=True)
+
+
+def check_time_tree(header, variable):
+    """Holds the statistics of a variable against each other, against its spans and against its decoded samples."""
+    group = header["variables"][variable]
+    levels = read_time_tree(header, group)
+    for level in levels:
+        low, high, mean, std, error, facts = numpy.moveaxis(level, 2, 0)
+        static, uniform = facts.astype(int) & 2 > 0, facts.astype(int) & 1 > 0
+        empty = numpy.isnan(mean)
+        assert (empty | ((low <= mean) & (mean <= high) & (std >= 0))).all()
+        assert (empty | (static == (error == 0))).all() and not (uniform & ~static).any()
+    for finer, level in zip(levels, levels[1:]):
+        for index, row in enumerate(level):
+            halves = finer[2 * index : 2 * index + 2]
+            assert same(row[:, 0], numpy.fmin.reduce(halves[..., 0])), "not the range of the halves"
+            assert same(row[:, 1], numpy.fmax.reduce(halves[..., 1])), "not the range of the halves"
+    # Nodes are numbered finest first, and those that share all bits but the last three have one parent.
+    first = 0
+    for l, entry in enumerate(header["levels"][:-1]):
+        nodes, above = header["root"][f"nodes/L{l}"][:], header["root"][f"nodes/L{l + 1}"][:]
+        parents = first + len(nodes) + numpy.searchsorted(above, nodes >> numpy.uint64(3))
+        for level in levels:
+            children = level[:, first : first + len(nodes)]
+            outside = (children[..., 0] < level[:, parents, 0]) | (children[..., 1] > level[:, parents, 1])
+            assert not outside.any(), "a child's range leaves its parent's"
+        first += entry["num_nodes"]
+    steps = levels[0]
+    for start, length, node, due in span_ranges(header, group):
+        rows = steps[start : start + length, node]
+        assert same([numpy.fmin.reduce(rows[:, 0]), numpy.fmax.reduce(rows[:, 1])], due), (start, node, rows, due)
+    # What is decoded is near the source: a twentieth of the variable's range at most.
+    edge, low = header["bricks"]["edge"], header["bricks"]["low"]
+    nodes = header["root"]["nodes/L0"][:]
+    last = len(steps) - 1
+    for node, brick in enumerate(decode(header, variable, 0, last)):
+        base = [sum((int(nodes[node]) >> (3 * k + axis) & 1) << k for k in range(21)) * edge for axis in range(3)]
+        inside = [slice(low, low + min(edge, n - b)) for n, b in zip(header["grid"]["dims"], base)]
+        core = brick[inside[2], inside[1], inside[0]]
+        assert numpy.isnan(core).all() == math.isnan(steps[last, node, 2])
+        if not numpy.isnan(core).all():
+            near = 0.05 * (group["max"] - group["min"])
+            assert abs(numpy.nanmean(core) - steps[last, node, 2]) <= near
+            assert abs(numpy.nanstd(core) - steps[last, node, 3]) <= near
+    print(f"{group['name']}: statistics of {sum(level.shape[0] for level in levels)} runs of steps agree")
+
+
 def read_all(root):
     """Opens everything in the group and reads every chunk."""
     num_arrays = 0
@@ -118,6 +203,8 @@ def main():
     for variable, entry in enumerate(header["variables"]):
         bricks = decode(header, variable, 0, header["num_steps_finished"] - 1)
         print(f"{entry['name']}: {len(bricks)} bricks of the last step lie within their drawn ranges")
+        if "time_tree" in header and header["num_steps_finished"] == len(header["times"]["times"]):
+            check_time_tree(header, variable)
     if len(sys.argv) < 3:
         return
     with open(sys.argv[2], encoding="utf-8") as file:
