@@ -114,9 +114,9 @@ pub struct TimeTreeEntry {
 }
 
 impl TimeTreeEntry {
-    /// Of a grid: the smallest stride with which at most 2^22 samples take part in the temporal error, 4 where none is.
+    /// Of a grid: the smallest stride with which at most 2^20 samples take part in the temporal error, 4 where none is.
     pub fn of_grid(grid: &UniformGrid) -> Self {
-        let is_enough = |stride: &u32| grid.num_samples() as u64 <= u64::from(stride.pow(3)) << 22;
+        let is_enough = |stride: &u32| grid.num_samples() as u64 <= u64::from(stride.pow(3)) << 20;
         Self { stride: [1, 2].into_iter().find(is_enough).unwrap_or(4) }
     }
 }
@@ -471,9 +471,9 @@ mod tests {
     fn only_large_grids_have_a_stride() {
         let stride =
             |n| TimeTreeEntry::of_grid(&UniformGrid::new([n, n, n], [0.0; 3], [1.0; 3]).unwrap()).stride;
-        // 2^22 samples are 161.3³; every other one of 322³, of 323³ no more.
+        // 2^20 samples are 101.6³; every other one of 203.2³.
         assert_eq!(
-            [stride(128), stride(161), stride(162), stride(322), stride(323), stride(2048)],
+            [stride(64), stride(101), stride(102), stride(203), stride(204), stride(2048)],
             [1, 1, 2, 2, 4, 4]
         );
     }

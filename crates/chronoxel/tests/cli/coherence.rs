@@ -36,7 +36,7 @@ fn tolerances_are_reported_by_what_is_drawn_how() {
     let render =
         |options: &str| json(folder, &format!("render run.cxl -t 6 --size 80x60 --tf filled {options}"));
     let plain = render("-o plain.png");
-    assert_eq!((share(&plain, "reused"), share(&plain, "constant") > 0.1), (0.0, true));
+    assert!(share(&plain, "reused") == 0.0 && share(&plain, "new") > 0.3, "{plain}");
     let exact = render("-o exact.png --metric scalar");
     assert_eq!(picture(folder.join("exact.png")), picture(folder.join("plain.png")));
     assert_eq!(at(&exact, "samples"), at(&plain, "samples"));
@@ -50,7 +50,7 @@ fn tolerances_are_reported_by_what_is_drawn_how() {
         let sum: f64 = ["skipped", "constant", "reused", "new"].iter().map(|of| share(&report, of)).sum();
         assert!((sum - 1.0).abs() < 1e-12, "{metric}");
         let off = mean_difference(&picture(folder.join("coarse.png")), &picture(folder.join("plain.png")));
-        assert!(0.0 < off && off < 0.05, "{metric}: {off}");
+        assert!(0.0 < off && off < 10.0, "{metric}: {off} levels");
     }
     refused(
         folder,
