@@ -169,8 +169,8 @@ fn damage_to_what_the_journal_keeps_is_found() {
     assert!(run(&mut series, &path, &options()).is_err());
     series.broken_step = None;
     let kept = folder.path().join("s.partial.cxl");
-    let names = files_of(&kept).into_keys().filter(|name| name.contains("moments-0-3-0"));
-    let file = kept.join(names.last().expect("eight steps are kept"));
+    let mut names = files_of(&kept).into_keys().filter(|name| name.contains("moments-0-3-0"));
+    let file = kept.join(names.next_back().expect("eight steps are kept"));
     let sound = fs::read(&file).unwrap();
     // In what is known of a brick; in the samples of one.
     for at in [200, sound.len() - 5] {

@@ -276,7 +276,8 @@ fn the_ends_of_the_number_range_have_statistics() {
         let root = store.statistics(0, TimeNode::root(8)).unwrap().pop().unwrap();
         // Mean 0 and deviation `size` in four ninths of the samples; the range is twice `size`.
         let expected = 4.0 / 9.0 / 0.002;
-        assert!((root.temporal_error / expected - 1.0).abs() < 1e-5, "{size:e}: {root:?}");
+        // A thousandth of the smallest range is denormal, and has fewer digits.
+        assert!((root.temporal_error / expected - 1.0).abs() < 2e-5, "{size:e}: {root:?}");
         // What is beyond single precision is stored as its smallest number.
         let mean = (5.0 / 9.0 * size).max(f32::from_bits(1).into());
         assert!((root.mean / mean - 1.0).abs() < 1e-6, "{size:e}: {root:?}");

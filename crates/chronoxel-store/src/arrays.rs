@@ -15,6 +15,8 @@ const SMALL_BYTES: usize = 128 << 10;
 const SMALL_ZSTD_LEVEL: i32 = 19;
 /// larger ones with this.
 const LARGE_ZSTD_LEVEL: i32 = 6;
+/// Statistics are hardly smaller at higher levels than at this.
+pub(crate) const STATISTICS_ZSTD_LEVEL: i32 = 9;
 
 /// What an array of payload bytes holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -257,7 +259,7 @@ impl Header {
         array(
             json!({ "fields": statistics::FIELDS }),
             json!([self.statistics_rows_per_chunk(time_level), nodes, fields]),
-            json!([transpose(), little_endian(), zstd(self.statistics_zstd_level(time_level)), crc32c()]),
+            json!([transpose(), little_endian(), zstd(STATISTICS_ZSTD_LEVEL), crc32c()]),
             "float64",
             json!(["index", "node", "field"]),
             json!("NaN"),

@@ -114,9 +114,9 @@ pub struct TimeTreeEntry {
 }
 
 impl TimeTreeEntry {
-    /// Of a grid: the smallest stride with which at most 2^22 samples take part in the temporal error, 4 where none is.
+    /// Of a grid: the smallest stride with which at most 2^20 samples take part in the temporal error, 4 where none is.
     pub fn of_grid(grid: &UniformGrid) -> Self {
-        let is_enough = |stride: &u32| grid.num_samples() as u64 / u64::from(stride.pow(3)) <= 1 << 22;
+        let is_enough = |stride: &u32| grid.num_samples() as u64 <= u64::from(stride.pow(3)) << 20;
         Self { stride: [1, 2].into_iter().find(is_enough).unwrap_or(4) }
     }
 }
@@ -448,5 +448,33 @@ mod json_number {
                 _ => Err(D::Error::custom(format!("{name:?} is not a number"))),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headers_with_and_without_a_time_tree_are_written_as_they_were_read() {
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
+        for (name, has_time_tree) in [("v1_sparse.cxl", false), ("v1_time_tree.cxl", true)] {
+            let path = fixtures.join(name).join("zarr.json");
+            let text = std::fs::read_to_string(&path).unwrap();
+            let header = Header::from_text(&path, &text).unwrap();
+            assert_eq!(header.time_tree.is_some(), has_time_tree);
+            assert_eq!(header.to_text().unwrap(), text);
+        }
+    }
+
+    #[test]
+    fn only_large_grids_have_a_stride() {
+        let stride =
+            |n| TimeTreeEntry::of_grid(&UniformGrid::new([n, n, n], [0.0; 3], [1.0; 3]).unwrap()).stride;
+        // 2^20 samples are 101.6³; every other one of 203.2³.
+        assert_eq!(
+            [stride(64), stride(101), stride(102), stride(203), stride(204), stride(2048)],
+            [1, 1, 2, 2, 4, 4]
+        );
     }
 }

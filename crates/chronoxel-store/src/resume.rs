@@ -23,6 +23,8 @@ use crate::{
 impl StoreWriter {
     /// Goes on with a store that was interrupted, or starts it where there is none; also gives the first step
     /// that must be read again. Each node's spans go on at [`Self::covered_until`], which is that step or later.
+    /// Statistics of the time tree that were put before the last commit ([`Self::steps_committed`]) are there; an encoder that
+    /// must read steps before that one for its own sake may put theirs again, and commits none of those steps.
     /// Where the folder is absent and `NAME.partial.cxl` is there, that is taken. The finished store is
     /// byte for byte the one that an uninterrupted run makes.
     ///

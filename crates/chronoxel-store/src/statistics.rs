@@ -8,7 +8,7 @@ use chronoxel_core::{
     time_tree::{num_time_levels, num_time_nodes},
 };
 
-use crate::{Header, arrays};
+use crate::Header;
 
 /// Names of the fields, in order.
 pub(crate) const FIELDS: [&str; NUM_FIELDS] = ["min", "max", "mean", "std", "temporal_error", "facts"];
@@ -75,10 +75,6 @@ impl Header {
     /// Nodes in all rows of a chunk.
     pub(crate) fn num_statistics_places(&self, time_level: u8) -> usize {
         self.statistics_rows_per_chunk(time_level) as usize * self.num_tree_nodes()
-    }
-
-    pub(crate) fn statistics_zstd_level(&self, time_level: u8) -> i32 {
-        arrays::number_zstd_level(8 * NUM_FIELDS * self.num_statistics_places(time_level))
     }
 
     /// The folder of the statistics of one level of the time tree.

@@ -5,7 +5,9 @@ use std::{collections::BTreeMap, path::PathBuf};
 use chronoxel_core::{NodeStatistics, TimeNode};
 
 use crate::{
-    Header, StoreError, chunk, files,
+    Header, StoreError,
+    arrays::STATISTICS_ZSTD_LEVEL,
+    chunk, files,
     journal::{Numbers, StateSummary, StatisticsSummary},
     layout,
     statistics::{Fields, NUM_FIELDS, StatisticsChunkId, fields_of},
@@ -177,7 +179,7 @@ impl ClosingStatistics {
     pub fn close(&self, header: &Header) -> Result<u64, StoreError> {
         let mut places: Vec<Fields> = self.rows.iter().flatten().copied().collect();
         places.resize(header.num_statistics_places(self.id.time_level), [f64::NAN; NUM_FIELDS]);
-        let stored = chunk::encode_by_field(&places, header.statistics_zstd_level(self.id.time_level));
+        let stored = chunk::encode_by_field(&places, STATISTICS_ZSTD_LEVEL);
         let stored = stored.map_err(StoreError::io(&self.path, "compress"))?;
         files::write(&self.temporary, &stored)?;
         Ok(stored.len() as u64)

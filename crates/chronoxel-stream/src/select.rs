@@ -154,7 +154,8 @@ impl<E> Walk<'_, '_, E> {
         let selector = self.selector;
         let region = selector.region_of(node);
         if !selector.view.may_see(region) {
-            return Ok(self.push(node, region, selector.step..selector.step + 1, How::Skip));
+            self.push(node, region, selector.step..selector.step + 1, How::Skip);
+            return Ok(());
         }
         let children: [Option<NodeId>; 8] = std::array::from_fn(|octant| {
             node.child(octant as u8).filter(|child| selector.tree.rank(*child).is_some())
@@ -164,7 +165,8 @@ impl<E> Walk<'_, '_, E> {
         }
         if let Some(Coherent { time, mean_color: Some(color) }) = self.coherent(node, false) {
             let steps = time.steps(selector.num_steps);
-            return Ok(self.push(node, region, steps, how_in_color(color)));
+            self.push(node, region, steps, how_in_color(color));
+            return Ok(());
         }
         let first = self.items.len();
         let half = (selector.layout.edge << node.level) as f64 / 2.0;
@@ -193,10 +195,12 @@ impl<E> Walk<'_, '_, E> {
         let record = (self.record)(node, step)?;
         let how = self.how_to_draw(&record);
         if how == How::Skip {
-            return Ok(self.push(node, region, step..step + 1, how));
+            self.push(node, region, step..step + 1, how);
+            return Ok(());
         }
         let Some(Coherent { time, mean_color }) = self.coherent_in_time(node, &record)? else {
-            return Ok(self.push(node, region, step..step + 1, how));
+            self.push(node, region, step..step + 1, how);
+            return Ok(());
         };
         let steps = time.steps(self.selector.num_steps);
         let how = match mean_color {
@@ -207,7 +211,8 @@ impl<E> Walk<'_, '_, E> {
                 self.how_to_draw(&first)
             }
         };
-        Ok(self.push(node, region, steps, how))
+        self.push(node, region, steps, how);
+        Ok(())
     }
 
     fn push(&mut self, node: NodeId, region: [[f64; 3]; 2], steps: Range<u32>, how: How) {

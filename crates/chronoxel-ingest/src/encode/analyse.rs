@@ -101,15 +101,22 @@ impl<'a, T: Real> Core<'a, T> {
 
     /// Copies every `stride`-th sample along each axis.
     pub(super) fn gather(&self, stride: usize, out: &mut [T]) {
-        let [nx, ny, _] = self.extent;
-        let is_taken = |row: usize| (row % ny).is_multiple_of(stride) && (row / ny).is_multiple_of(stride);
-        let rows = self.rows().enumerate().filter(|(i, _)| is_taken(*i)).map(|(_, row)| row);
-        for (out, row) in out.chunks_mut(nx.div_ceil(stride)).zip(rows) {
-            match stride {
-                1 => out.copy_from_slice(row),
-                _ => out.iter_mut().zip(row.iter().step_by(stride)).for_each(|(out, v)| *out = *v),
+        let [nx, ny, nz] = self.extent;
+        let mut out = out.chunks_mut(nx.div_ceil(stride));
+        for z in (0..nz).step_by(stride) {
+            for (y, out) in (0..ny).step_by(stride).zip(&mut out) {
+                let row = self.row(y, z);
+                match stride {
+                    1 => out.copy_from_slice(row),
+                    _ => out.iter_mut().zip(row.iter().step_by(stride)).for_each(|(out, v)| *out = *v),
+                }
             }
         }
+    }
+
+    #[inline(always)]
+    fn row(&self, y: usize, z: usize) -> &'a [T] {
+        &self.samples[self.low + self.full * (self.low + y + self.full * (self.low + z))..][..self.extent[0]]
     }
 
     fn rows(&self) -> impl Iterator<Item = &'a [T]> {

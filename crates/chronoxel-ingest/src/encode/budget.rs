@@ -157,7 +157,7 @@ impl Task<'_> {
         let samples = moments::samples_of_brick(self.layout, self.stride) as u64;
         let threads = (self.num_threads as u64).saturating_mul(moments::BUFFERS * self.held_bytes());
         let waiting = moments::WAITING_BYTES.saturating_mul(self.num_variables);
-        let of_node = waiting.saturating_add(moments::closing_bytes(self.num_steps));
+        let of_node = waiting.saturating_add(moments::closing_bytes(self.num_steps, self.num_variables));
         samples.saturating_mul(threads).saturating_add(nodes_of(&self.levels[0]).saturating_mul(of_node))
     }
 

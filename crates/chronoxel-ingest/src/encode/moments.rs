@@ -17,7 +17,7 @@ mod tree;
 use std::sync::Mutex;
 
 use chronoxel_core::time_tree::num_time_levels;
-use chronoxel_core::{BrickLayout, Octree, TimeNode};
+use chronoxel_core::{BrickLayout, NodeStatistics, Octree, TimeNode};
 use chronoxel_store::StoreWriter;
 
 use super::analyse::Core;
@@ -40,12 +40,15 @@ pub fn first_step(num_committed: u32, num_steps: u32) -> u32 {
 /// Bytes of memory that each finest node takes: while it waits, for each variable.
 pub const WAITING_BYTES: u64 = size_of::<Node<f64>>() as u64;
 
-/// Bytes that all nodes take while a step is merged and put, in units of finest nodes.
+/// Bytes that all nodes take while a step is merged and put, for each finest node.
 ///
 /// * `num_steps`: of the series
-pub fn closing_bytes(num_steps: u32) -> u64 {
-    // Closed by the last step: one at each time level. Then those of all octree levels, one time level at a time.
-    (u64::from(num_time_levels(num_steps)) + 4) * size_of::<Known>() as u64
+pub fn closing_bytes(num_steps: u32, num_variables: u64) -> u64 {
+    // The last step closes a run at each time level, which the writer holds until its commit, in an eighth more nodes.
+    let put = (size_of::<NodeStatistics>() as u64 + 16).saturating_mul(num_variables);
+    let of_level = put.saturating_add(size_of::<Known>() as u64);
+    // Octree levels are merged for one time level at a time.
+    u64::from(num_time_levels(num_steps)).saturating_mul(of_level) + 4 * size_of::<Known>() as u64
 }
 
 /// The largest number of samples of a brick that take part.
@@ -202,6 +205,7 @@ impl<T: Real> Merger<'_, T> {
         let moments = self.moments;
         let mut run = self.run_of_step(brick, core);
         let mut last = TimeNode::of_step(step);
+        closed.reserve_exact(TimeNode::closed_by(step, moments.num_steps).count());
         for at in TimeNode::closed_by(step, moments.num_steps) {
             // Where the series ends with the first half, the whole is the same.
             if at.level > 0 && last.index % 2 == 1 {

@@ -1,6 +1,6 @@
 //! One node over one window of time: what its steps are, and the pieces that it is coded as.
 
-use chronoxel_core::{BitMask, BrickLayout, LevelGeometry, SpanStatistics};
+use chronoxel_core::{BitMask, BrickLayout, SpanStatistics};
 
 use super::analyse::Analysis;
 use super::coding::{Choice, is_whole};
@@ -167,12 +167,4 @@ impl<T: Real> Section<T> {
             drawn_range,
         })
     }
-}
-
-/// Core samples of a brick that lie inside the grid, as indices into the full brick.
-pub fn core_inside(brick: [usize; 3], geometry: &LevelGeometry, layout: &BrickLayout) -> Vec<u32> {
-    let (full, low) = (layout.full_edge(), layout.low);
-    let [nx, ny, nz] = std::array::from_fn(|a| (geometry.dims[a] - brick[a] * layout.edge).min(layout.edge));
-    let rows = (0..nz).flat_map(|z| (0..ny).map(move |y| low + full * (low + y + full * (low + z))));
-    rows.flat_map(|start| start as u32..(start + nx) as u32).collect()
 }

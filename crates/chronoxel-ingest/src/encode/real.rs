@@ -10,7 +10,7 @@ pub trait Real: SampleValue + Pod {
     const MASKED: Self;
     /// The largest finite value.
     const LARGEST: Self;
-    /// The smallest above 0 that is not denormal.
+    /// The smallest above 0.
     const SMALLEST: Self;
     /// Above every sample: where a search for the smallest begins.
     const INFINITE: Self;
@@ -58,7 +58,7 @@ macro_rules! real {
         impl Real for $type {
             const MASKED: Self = $type::NAN;
             const LARGEST: Self = $type::MAX;
-            const SMALLEST: Self = $type::MIN_POSITIVE;
+            const SMALLEST: Self = $type::from_bits(1);
             const INFINITE: Self = $type::INFINITY;
 
             fn from_samples(samples: Samples) -> Option<Vec<Self>> {

@@ -12,7 +12,7 @@ use super::analyse::Analysis;
 use super::choose::{self, NodeWindow, within_bound};
 use super::coding::Refusal;
 use super::mark::width_of;
-use super::node::{NodeSteps, Piece, Section, core_inside};
+use super::node::{NodeSteps, Piece, Section};
 use super::palettes::{self, PaletteKind};
 use super::rate::{self, Spending};
 use super::real::Real;
@@ -241,7 +241,7 @@ impl<T: Real> OpenWindows<T> {
         let samples = open.steps.iter().map(|(_, waiting)| self.samples(waiting, coder.layout));
         let samples = samples.collect::<Result<Vec<_>, _>>()?;
         let analyses = open.steps.iter().map(|(analysis, _)| *analysis).collect();
-        let core = core_inside(brick, &coder.levels[usize::from(level)], coder.layout);
+        let core = coder.levels[usize::from(level)].core_inside(brick, coder.layout);
         let steps = NodeSteps::new(samples, analyses, lead, core, coder.layout);
         Ok(Some(Loaded { rank, first, brick, steps }))
     }

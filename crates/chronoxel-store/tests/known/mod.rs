@@ -61,26 +61,28 @@ impl Known {
         let (mut values, mut errors) = (Vec::new(), Vec::new());
         let mut facts =
             NodeFacts { is_uniform: true, is_static: true, is_masked: false, mask_changes: false };
-        let mut some = None;
+        let (mut some, mut over) = (None, Vec::new());
         for piece in pieces(&self.description, node) {
             let bricks: Vec<&Vec<f64>> =
                 steps.clone().map(|step| &self.bricks[&(piece.brick, step)]).collect();
+            let counted = self.counted(&piece);
             for sample in 0..bricks[0].len() {
-                let over: Vec<f64> = bricks.iter().map(|brick| brick[sample]).collect();
+                over.clear();
+                over.extend(bricks.iter().map(|brick| brick[sample]));
                 let first = *some.get_or_insert(over[0]);
                 let num_masked = over.iter().filter(|v| v.is_nan()).count();
                 facts.is_uniform &= over.iter().all(|v| *v == first);
                 facts.is_masked |= num_masked > 0;
                 facts.mask_changes |= num_masked % over.len() > 0;
                 facts.is_static &= over.iter().all(|v| v.to_bits() == over[0].to_bits());
-                if !self.is_counted(&piece, sample) {
+                if !counted[sample] {
                     continue;
                 }
                 if num_masked == 0 {
                     let [mean, std] = mean_and_std(&over);
                     errors.push(guarded_ratio(std, mean, VALUE_RANGE));
                 }
-                values.extend(over.into_iter().filter(|v| !v.is_nan()));
+                values.extend(over.iter().filter(|v| !v.is_nan()));
             }
         }
         let [mean, std] = mean_and_std(&values);
@@ -94,21 +96,22 @@ impl Known {
         NodeStatistics { min, max, mean: mean.max(min).min(max), std, temporal_error, facts }
     }
 
-    /// Whether a sample of a full brick is in the core, in the grid and in the piece.
-    fn is_counted(&self, piece: &Piece, sample: usize) -> bool {
+    /// Which samples of a full brick are in the core, in the grid and in the piece.
+    fn counted(&self, piece: &Piece) -> Vec<bool> {
         let layout = &self.description.layout;
         let full = layout.full_edge();
         let dims = levels_of(&self.description.grid, layout)[usize::from(piece.brick.level)].dims;
-        let at = [sample % full, sample / full % full, sample / full / full];
-        (0..3).all(|axis| {
-            let core = at[axis].wrapping_sub(layout.low);
-            let half = |octant| usize::from(octant >> axis & 1 == 1) * (layout.edge / 2);
-            let place = piece.brick.brick()[axis] as usize * layout.edge + core.min(layout.edge);
-            let in_piece = piece
-                .octant
-                .is_none_or(|octant: u8| (half(octant)..half(octant) + layout.edge / 2).contains(&core));
-            core < layout.edge && place < dims[axis] && in_piece
-        })
+        let is_counted = |sample: usize| {
+            let at = [sample % full, sample / full % full, sample / full / full];
+            (0..3).all(|axis| {
+                let core = at[axis].wrapping_sub(layout.low);
+                let half = |octant| usize::from(octant >> axis & 1 == 1) * (layout.edge / 2);
+                let place = piece.brick.brick()[axis] as usize * layout.edge + core.min(layout.edge);
+                let in_piece = |octant: u8| (half(octant)..half(octant) + layout.edge / 2).contains(&core);
+                core < layout.edge && place < dims[axis] && piece.octant.is_none_or(in_piece)
+            })
+        };
+        (0..full.pow(3)).map(is_counted).collect()
     }
 }
 

@@ -104,7 +104,7 @@ pub fn sources(users: &[String], size: Size) -> Vec<String> {
     let simulations = ALL_DATA.iter().filter_map(|data| data.simulation.as_ref());
     let missing = simulations.filter(|simulation| !users.iter().any(|source| is_of(source, simulation)));
     let of_size = missing.map(|simulation| match size {
-        Size::Small => simulation.small.to_owned(),
+        Size::Tiny | Size::Small => simulation.small.to_owned(),
         Size::Full => simulation.full.to_owned(),
     });
     of_size.chain(users.iter().cloned()).collect()

@@ -125,6 +125,8 @@ impl Section {
 /// How large the simulations of a bench are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Size {
+    /// Seconds, where the source is tiny as well: for tests.
+    Tiny,
     /// A minute or so.
     Small,
     /// Near the paper's.

@@ -64,6 +64,8 @@ enum BenchName {
 /// Sizes of the simulations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum BenchSize {
+    #[value(hide = true)]
+    Tiny,
     Small,
     Full,
 }
@@ -71,6 +73,7 @@ enum BenchSize {
 /// Runs the verb.
 pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let size = match args.size {
+        BenchSize::Tiny => Size::Tiny,
         BenchSize::Small => Size::Small,
         BenchSize::Full => Size::Full,
     };
@@ -97,7 +100,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let report = match args.name {
         BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
         BenchName::Binotto2003 => binotto2003::run(inputs, &place, common.memory.0, &mut progress)?,
-        BenchName::Ellsworth2000 => ellsworth2000::run(inputs, &place, common.memory.0, &mut progress)?,
+        BenchName::Ellsworth2000 => ellsworth2000::run(inputs, size, &place, common.memory.0, &mut progress)?,
     };
     if let Some(bar) = bar {
         bar.finish();

@@ -61,7 +61,7 @@ impl Session {
         let num_levels = self.store.tree().num_levels() as u8;
         let mut level = view.level.min(num_levels - 1);
         let prepared = match view.coherence.filter(|_| weight == 0.0) {
-            Some(coherence) => Some(self.prepare_coherence(view, &coherence, step)?),
+            Some(coherence) => Some(self.prepare_coherence(view, &coherence, step, faults)?),
             None => None,
         };
         loop {
@@ -126,17 +126,22 @@ impl Session {
         view: &View,
         choice: &CoherenceView,
         step: u32,
+        faults: &mut Faults,
     ) -> anyhow::Result<Prepared> {
         anyhow::ensure!(
             self.store.has_time_tree(),
             "{}: the store has no statistics of its time tree, which metrics and tolerances need: encode it again",
             self.store.path().display()
         );
-        let header = self.store.header();
-        let (num_steps, num_finished) = (header.num_steps(), header.num_steps_finished);
-        let held = (0..num_time_levels(num_steps)).map(|level| TimeNode::holding(step, level));
-        let known = held.take_while(|at| at.steps(num_steps).end <= num_finished);
-        let rows = known.map(|at| self.statistics(at));
+        let num_levels = num_time_levels(self.store.header().num_steps());
+        let holding = (0..num_levels).map(|level| TimeNode::holding(step, level));
+        let known: Vec<TimeNode> = holding.take_while(|at| self.store.has_statistics(*at)).collect();
+        if known.is_empty() {
+            faults.warn(format!(
+                "the statistics of step {step} are not finished: it is drawn without tolerances"
+            ));
+        }
+        let rows = known.into_iter().map(|at| self.statistics(at));
         let statistics = StepStatistics { of_time_levels: rows.collect::<Result<_, _>>()? };
         let (Metric::ColorReference(space) | Metric::ColorApproximate(space)) = choice.metric else {
             self.update_estimates(view, ColorSpace::Rgb);

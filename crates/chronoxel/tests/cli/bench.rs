@@ -154,3 +154,77 @@ fn help_names_the_benches() {
     let help = done(folder.path(), "bench --help").stdout;
     assert!(help.contains("lum2001") && help.contains("chronoxel bench lum2001 --size full"), "{help}");
 }
+
+#[test]
+fn binotto2003_stands_beside_what_was_measured() {
+    let folder = tempdir().unwrap();
+    fs::write(folder.path().join("drops.npy"), drops()).unwrap();
+    let line = "bench binotto2003 --source 'sim:plume?dims=32&steps=6&limit=0.05' --source drops.npy";
+    let rows = rows(&json(folder.path(), line));
+    assert_eq!(rows.len(), 2 + 6, "{:?}", rows.keys());
+    let zeros = &rows["Table 1, spatial sparseness: sim:plume?dims=32&steps=6&limit=0.05"];
+    assert!((50.0..100.0).contains(&number(zeros, "here.zeros_percent")), "{zeros}");
+    // A level more: eight times the index cells, of 4 numbers; blocks that vary are fewer than all.
+    for (level, blocks) in [(3, 512.0), (4, 4096.0)] {
+        let title = "Table 2, index and refinement textures: sim:plume?dims=32&steps=6&limit=0.05: level";
+        let row = &rows[&format!("{title} {level}")];
+        assert_eq!(number(row, "here.index_cells"), 4.0 * 6.0 * blocks);
+        let [varied, different] = ["here.varied_blocks", "here.different_blocks"].map(|k| number(row, k));
+        assert!(0.0 < different && different <= varied && varied < 6.0 * blocks, "{row}");
+        let cells = number(row, "here.index_cells") + number(row, "here.refinement_cells");
+        let ratio = 4.0 * 6.0 * 32768.0 / cells;
+        assert!((number(row, "here.ratio") - ratio).abs() < 1e-9, "{row}");
+        assert!(number(row, "here.store_bytes") > 1000.0, "{row}");
+    }
+    // The drop leaves most of the ground as it is from step to step: seven of eight times its blocks are there already.
+    let drops = &rows["Table 2, index and refinement textures: drops.npy: level 3"];
+    assert!(number(drops, "here.different_blocks") < 0.25 * number(drops, "here.varied_blocks"), "{drops}");
+}
+
+#[test]
+fn ellsworth2000_stands_beside_what_was_measured() {
+    let folder = tempdir().unwrap();
+    fs::write(folder.path().join("drops.npy"), drops()).unwrap();
+    let line =
+        "bench ellsworth2000 --size tiny --source 'sim:shockbubble?dims=24x12x12&steps=4' --source drops.npy";
+    let rows = rows(&json(folder.path(), line));
+    let paper = &rows["Table 5, % of samples by how they are drawn: the paper's data, not measured here: \
+                       large Delta, 222x253x103, 12 steps, sparse, zero, approximate"];
+    assert_eq!((number(paper, "paper.not_rendered"), number(paper, "paper.new")), (66.0, 34.0));
+    for source in ["sim:shockbubble?dims=24x12x12&steps=4", "drops.npy"] {
+        for case in ["brick 16, sparse", "brick 32, filled", "brick 64, sparse"] {
+            check_coherence(&rows, source, case);
+        }
+    }
+    let shock = &rows["Table 5, % of samples by how they are drawn: \
+                       sim:shockbubble?dims=24x12x12&steps=4: brick 32, filled, slight, approximate"];
+    assert_eq!(number(shock, "paper.constant"), 63.0);
+}
+
+fn check_coherence(rows: &BTreeMap<String, Value>, source: &str, case: &str) {
+    let build = &rows[&format!("Table 2, seconds to compute the metrics: {source}: {case}")];
+    assert!(number(build, "here.approximate") > 0.0 && number(build, "here.reference") > 0.0, "{build}");
+    let share = |tolerance: &str, metric: &str| {
+        let title = "Table 5, % of samples by how they are drawn";
+        &rows[&format!("{title}: {source}: {case}, {tolerance}, {metric}")]
+    };
+    let shares = ["here.not_rendered", "here.constant", "here.reused", "here.new"];
+    for tolerance in ["zero", "slight", "moderate"] {
+        let times = &rows[&format!("Tables 3 and 4, ms per frame: {source}: {case}, {tolerance}")];
+        for metric in ["scalar", "reference", "approximate", "reference luv", "approximate luv"] {
+            let row = share(tolerance, metric);
+            let sum: f64 = shares.iter().map(|key| number(row, key)).sum();
+            assert!((sum - 100.0).abs() < 1e-6, "{row}");
+            assert!(tolerance != "zero" || number(row, "here.luv_distance") == 0.0, "{row}");
+            let times = times["here"].as_object().unwrap();
+            assert!(times[&format!("{metric}, not cached")].as_f64().unwrap() > 0.0);
+            assert!(times[&format!("{metric}, cached")].as_f64().unwrap() > 0.0);
+        }
+    }
+    // As in the paper's table 5: without tolerance, the approximate metric chooses as the reference does.
+    for key in shares {
+        let [reference, approximate] =
+            ["reference", "approximate"].map(|metric| number(share("zero", metric), key));
+        assert!((reference - approximate).abs() <= 5.0, "{source}, {case}: {key} {reference} {approximate}");
+    }
+}

@@ -123,6 +123,7 @@ fn merge_means<T: Real, const MASKED: bool>(
     deviations: &mut [T],
 ) -> ErrorSum {
     let mut sums = Sums::<MASKED>::default();
+    let num_samples = means.len();
     let (left, left_rest) = left.as_chunks::<LANES>();
     let (means, means_rest) = means.as_chunks_mut::<LANES>();
     let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
@@ -137,7 +138,7 @@ fn merge_means<T: Real, const MASKED: bool>(
         [*mean, *deviation] = weights.of_means(left, *mean);
         sums.take(lane, *mean, weights.ratio(*mean, *deviation));
     }
-    sums.total()
+    sums.total(num_samples)
 }
 
 fn merge_both<T: Real, const MASKED: bool>(
@@ -147,6 +148,7 @@ fn merge_both<T: Real, const MASKED: bool>(
     deviations: &mut [T],
 ) -> ErrorSum {
     let mut sums = Sums::<MASKED>::default();
+    let num_samples = means.len();
     let [(left_means, means_left), (left_deviations, deviations_left)] = left.map(|v| v.as_chunks::<LANES>());
     let (means, means_rest) = means.as_chunks_mut::<LANES>();
     let (deviations, deviations_rest) = deviations.as_chunks_mut::<LANES>();
@@ -163,7 +165,7 @@ fn merge_both<T: Real, const MASKED: bool>(
         [*mean, *deviation] = weights.of_both([*left.0, *left.1], [*mean, *deviation]);
         sums.take(lane, *mean, weights.ratio(*mean, *deviation));
     }
-    sums.total()
+    sums.total(num_samples)
 }
 
 impl<T: Real> Weights<T> {
@@ -203,7 +205,7 @@ impl<T: Real> Weights<T> {
 #[derive(Default)]
 struct Sums<const MASKED: bool> {
     sums: [f64; LANES],
-    counts: [f64; LANES],
+    num_left_out: [f64; LANES],
 }
 
 impl<const MASKED: bool> Sums<MASKED> {
@@ -211,11 +213,14 @@ impl<const MASKED: bool> Sums<MASKED> {
     fn take<T: Real>(&mut self, lane: usize, mean: T, ratio: T) {
         let is_left_out = MASKED && mean.is_masked();
         self.sums[lane] += if is_left_out { 0.0 } else { ratio.to_f64() };
-        self.counts[lane] += if is_left_out { 0.0 } else { 1.0 };
+        if MASKED {
+            self.num_left_out[lane] += if is_left_out { 1.0 } else { 0.0 };
+        }
     }
 
-    fn total(&self) -> ErrorSum {
-        ErrorSum { sum: self.sums.iter().sum(), count: self.counts.iter().sum::<f64>() as u64 }
+    fn total(&self, num_samples: usize) -> ErrorSum {
+        let num_left_out = self.num_left_out.iter().sum::<f64>() as u64;
+        ErrorSum { sum: self.sums.iter().sum(), count: num_samples as u64 - num_left_out }
     }
 }
 

@@ -2,8 +2,8 @@
 
 /// Tolerances that are looked at.
 const RANGE: [f64; 2] = [1e-5, 1e3];
-/// Halvings of the range, in logarithms: to about 4 % of the tolerance.
-const NUM_HALVINGS: usize = 9;
+/// Halvings of the range, in logarithms: to about 8 % of the tolerance.
+const NUM_HALVINGS: usize = 8;
 
 /// The tolerance whose pictures differ by `wanted`, or as nearly as any found; the largest, where none differs as much.
 ///
@@ -21,7 +21,7 @@ pub fn tolerance(wanted: f64, mut distance: impl FnMut(f64) -> anyhow::Result<f6
         let middle = (low * high).sqrt();
         let found = distance(middle)?;
         let off = (found - wanted).abs();
-        if off < best_off {
+        if off <= best_off {
             (best, best_off) = (middle, off);
         }
         if found <= wanted {
@@ -40,10 +40,10 @@ mod tests {
     #[test]
     fn the_tolerance_is_found() {
         let found = tolerance(0.5, |t| Ok(t * t)).unwrap();
-        assert!((found - 0.5f64.sqrt()).abs() < 0.02, "{found}");
+        assert!((found - 0.5f64.sqrt()).abs() < 0.05, "{found}");
         // A distance that jumps from 0.1 to 0.6 at 3: the nearer of the two.
         let found = tolerance(0.5, |t| Ok(if t < 3.0 { 0.1 } else { 0.6 })).unwrap();
-        assert!((3.0..3.2).contains(&found), "{found}");
+        assert!((3.0..3.3).contains(&found), "{found}");
         assert_eq!(tolerance(0.5, |_| Ok(0.2)).unwrap(), RANGE[1]);
     }
 }
