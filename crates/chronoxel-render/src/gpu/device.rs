@@ -44,12 +44,7 @@ impl Device {
     pub fn new(options: &GpuOptions) -> Result<Self, GpuError> {
         let adapter = choose(options)?;
         let limits = limits_of(&adapter.get_info().name, adapter.limits(), options.guaranteed_only)?;
-        let wanted = if options.guaranteed_only {
-            wgpu::Features::empty()
-        } else {
-            wgpu::Features::TEXTURE_FORMAT_16BIT_NORM | wgpu::Features::TIMESTAMP_QUERY
-        };
-        let features = wanted & adapter.features();
+        let features = wanted_features(options) & adapter.features();
         let info = info_of(&adapter.get_info(), features);
         let request = adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("chronoxel"),
@@ -214,6 +209,20 @@ fn listen(device: &wgpu::Device, fault: &Arc<Mutex<Option<String>>>) {
 fn note(fault: &Mutex<Option<String>>, message: String) {
     let mut fault = fault.lock().unwrap_or_else(|e| e.into_inner());
     fault.get_or_insert_with(|| one_line(&message));
+}
+
+/// What the adapter that suits best is.
+pub(super) fn find(options: &GpuOptions) -> Result<GpuInfo, GpuError> {
+    let adapter = choose(options)?;
+    Ok(info_of(&adapter.get_info(), wanted_features(options) & adapter.features()))
+}
+
+/// Features that are used where they are offered.
+fn wanted_features(options: &GpuOptions) -> wgpu::Features {
+    match options.guaranteed_only {
+        true => wgpu::Features::empty(),
+        false => wgpu::Features::TEXTURE_FORMAT_16BIT_NORM | wgpu::Features::TIMESTAMP_QUERY,
+    }
 }
 
 /// The adapter that suits best: a real GPU before a program on the CPU, a discrete one before others.

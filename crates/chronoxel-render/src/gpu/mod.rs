@@ -175,6 +175,14 @@ impl GpuRenderer {
         Ok(Self { options: options.clone(), residency, caster, colors: Colors::default(), timer, device })
     }
 
+    /// The adapter that [`Self::new`] would draw on.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] if there is none.
+    pub fn adapter(options: &GpuOptions) -> Result<GpuInfo, GpuError> {
+        device::find(options)
+    }
+
     /// Which adapter it is, and what it offers.
     pub fn info(&self) -> &GpuInfo {
         &self.device.info

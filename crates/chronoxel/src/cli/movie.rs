@@ -94,6 +94,11 @@ impl MovieArgs {
         let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
         let options = MovieOptions { size: self.view.size, fps: self.fps, num_frames };
         let mut view = self.view.view(&session)?;
+        let backend = self.view.choose_backend(&mut session)?;
+        anyhow::ensure!(
+            backend.name == "cpu" || self.image_cache.0 == 0,
+            "--image-cache is for the CPU: add --backend cpu, or leave it out"
+        );
         let mut sink = movie::create(&self.output, options)?;
         let bar =
             Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
@@ -123,8 +128,8 @@ impl MovieArgs {
             size: self.view.size,
             fps: self.fps,
             wall_secs: start.elapsed().as_secs_f64(),
-            backend: super::render::BACKEND,
-            adapter: super::render::adapter(),
+            backend: backend.name,
+            adapter: backend.adapter,
             warnings,
         })
     }

@@ -65,12 +65,16 @@ struct FrameTime {
     samples: u64,
     new_bricks: usize,
     composited_bricks: usize,
+    bytes_uploaded: u64,
+    decode_ms: f64,
+    gpu_bytes_peak: u64,
 }
 
 #[derive(Serialize)]
 struct PlayReport {
     backend: &'static str,
     adapter: String,
+    backend_reason: String,
     frames: usize,
     fps: Rates,
     frame_ms: Times,
@@ -84,6 +88,8 @@ struct PlayReport {
     samples_per_cpu_sec: f64,
     bytes_from_disk: u64,
     bytes_uploaded: u64,
+    /// Decoding on the GPU, by its clock.
+    gpu_decode_ms: Times,
     cache: CacheReport,
     /// Boxes composited from partial images, per frame, and the most bytes that these took.
     composited_per_frame: f64,
@@ -140,6 +146,11 @@ impl PlayArgs {
         }
         let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
         let mut view = self.view.view(&session)?;
+        let backend = self.view.choose_backend(&mut session)?;
+        anyhow::ensure!(
+            backend.name == "cpu" || self.image_cache.0 == 0,
+            "--image-cache is for the CPU: add --backend cpu, or leave it out"
+        );
         if self.warm == Switch::On {
             session.draw(&view, steps[0])?;
         }
@@ -167,14 +178,13 @@ impl PlayArgs {
             write_csv(path, &frames).with_context(|| format!("{}: cannot write", path.display()))?;
         }
         Ok(PlayReport {
-            backend: super::render::BACKEND,
-            adapter: super::render::adapter(),
+            backend: backend.name,
+            adapter: backend.adapter,
+            backend_reason: backend.reason,
             bytes_from_disk: session.bytes_from_disk() - bytes_before,
-            bytes_uploaded: 0,
             cache: CacheReport { hits: session.cache_counts().hits, misses: session.cache_counts().misses },
             image_bytes_peak: session.image_bytes_peak(),
             peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
-            gpu_bytes_peak: 0,
             mean_pixels_per_voxel: pixels_per_voxel * f64::from(1u32 << view.level),
             size: view.size,
             warnings,
@@ -196,6 +206,9 @@ fn timed_frame(session: &mut Session, view: &View, step: usize) -> anyhow::Resul
         samples: picture.samples,
         new_bricks: picture.bricks.new,
         composited_bricks: picture.bricks.composited,
+        bytes_uploaded: picture.on_gpu.map_or(0, |gpu| gpu.bytes_uploaded),
+        decode_ms: picture.on_gpu.map_or(0.0, |gpu| gpu.decode_ms),
+        gpu_bytes_peak: picture.on_gpu.map_or(0, |gpu| gpu.gpu_bytes_peak),
     };
     Ok((time, picture.warnings))
 }
@@ -213,11 +226,14 @@ fn pixels_per_voxel(camera: &Camera, grid: &UniformGrid, size: [usize; 2]) -> f6
 
 fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()> {
     let mut file = std::io::BufWriter::new(std::fs::File::create(path)?);
-    writeln!(file, "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks")?;
+    writeln!(
+        file,
+        "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks,bytes_uploaded,decode_ms"
+    )?;
     for (number, f) in frames.iter().enumerate() {
         writeln!(
             file,
-            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{}",
+            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3}",
             f.step,
             f.frame_ms,
             f.fetch_ms,
@@ -225,7 +241,9 @@ fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()
             f.cpu_ms,
             f.samples,
             f.new_bricks,
-            f.composited_bricks
+            f.composited_bricks,
+            f.bytes_uploaded,
+            f.decode_ms
         )?;
     }
     file.flush()
@@ -255,6 +273,7 @@ impl PlayReport {
         Self {
             backend: "",
             adapter: String::new(),
+            backend_reason: String::new(),
             frames: frames.len(),
             fps: Rates {
                 mean: frames.len() as f64 * 1e3 / frame_ms,
@@ -269,12 +288,13 @@ impl PlayReport {
             samples_per_sec: samples / sum(|f| f.render_ms) * 1e3,
             samples_per_cpu_sec: samples / sum(|f| f.cpu_ms) * 1e3,
             bytes_from_disk: 0,
-            bytes_uploaded: 0,
+            bytes_uploaded: frames.iter().map(|f| f.bytes_uploaded).sum(),
+            gpu_decode_ms: Times::of(frames, |f| f.decode_ms),
             cache: CacheReport { hits: 0, misses: 0 },
             composited_per_frame: sum(|f| f.composited_bricks as f64) / frames.len() as f64,
             image_bytes_peak: 0,
             peak_rss_bytes: None,
-            gpu_bytes_peak: 0,
+            gpu_bytes_peak: frames.iter().map(|f| f.gpu_bytes_peak).max().unwrap_or(0),
             mean_pixels_per_voxel: 0.0,
             size: [0; 2],
             warnings: Vec::new(),

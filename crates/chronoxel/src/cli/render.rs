@@ -37,14 +37,12 @@ pub struct RenderArgs {
     view: ViewArgs,
 }
 
-/// The name of the only back end there is.
-pub const BACKEND: &str = "cpu";
-
 /// What was drawn, and what it took.
 #[derive(Serialize)]
 pub struct RenderReport {
     backend: &'static str,
     adapter: String,
+    backend_reason: String,
     wall_secs: f64,
     fetch_ms: f64,
     render_ms: f64,
@@ -93,11 +91,6 @@ impl From<Shares> for ShareReport {
     }
 }
 
-/// What draws, in words.
-pub fn adapter() -> String {
-    format!("{} threads, {}", rayon::current_num_threads(), chronoxel_render::kernel_name())
-}
-
 /// Runs the verb.
 pub fn run(common: &Common, args: &RenderArgs) -> anyhow::Result<()> {
     let report = args.make(common)?;
@@ -123,14 +116,16 @@ impl RenderArgs {
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
         let moment = self.step.resolve(&session)?;
         let view = self.view.view(&session)?;
+        let backend = self.view.choose_backend(&mut session)?;
         let picture = session.draw_moment(&view, moment)?;
         picture.warnings.iter().for_each(|warning| output::warning(warning));
         write_png(&self.output, &self.view.show(&session, &view, &picture, moment)?)?;
 
         let header = session.store().header();
         Ok(RenderReport {
-            backend: BACKEND,
-            adapter: adapter(),
+            backend: backend.name,
+            adapter: backend.adapter,
+            backend_reason: backend.reason,
             wall_secs: start.elapsed().as_secs_f64(),
             fetch_ms: picture.fetch_ms,
             render_ms: picture.render_ms,
@@ -163,10 +158,11 @@ impl RenderReport {
         }
         let b = &self.bricks;
         format!(
-            "{line}\n  back end {} ({}), level {}\n  reading {:.1} ms, drawing {:.1} ms, {:.1} million samples\n  \
+            "{line}\n  back end {} ({}): {}; level {}\n  reading {:.1} ms, drawing {:.1} ms, {:.1} million samples\n  \
              bricks: {} new, {} constant, {} skipped\n  opacities are those of a path of {} world units",
             self.backend,
             self.adapter,
+            self.backend_reason,
             self.level,
             self.fetch_ms,
             self.render_ms,

@@ -6,12 +6,14 @@ use anyhow::Context;
 use chronoxel_core::{
     Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid, metrics::ColorSpace,
 };
+use chronoxel_render::{GpuOptions, GpuRenderer, Interpolation};
 use chronoxel_stream::Tolerances;
 use clap::{Args, ValueEnum};
 
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive, parse_step};
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
+    bytes::ByteSize,
     session::{CoherenceView, Metric, Moment, Picture, Session, View, orbit_camera},
 };
 
@@ -40,6 +42,12 @@ pub struct ViewArgs {
     /// What draws it
     #[arg(long, value_name = "BACKEND", default_value = "auto")]
     pub backend: Backend,
+    /// GPU memory that may be used, such as 512MiB or 4GiB
+    #[arg(long, value_name = "SIZE", default_value = "1GiB")]
+    pub gpu_memory: ByteSize,
+    /// What is interpolated between samples: values, or their colours (for comparison, on the GPU)
+    #[arg(long, value_name = "WHAT", default_value = "scalar")]
+    pub interpolation: InterpolationName,
     /// Finest octree level to draw; 0 is full resolution
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub level: u8,
@@ -161,6 +169,28 @@ pub enum Backend {
     Auto,
     /// The processor, with all its threads.
     Cpu,
+    /// A GPU, or a software driver of one.
+    Gpu,
+}
+
+/// What is interpolated between samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum InterpolationName {
+    /// Values, before they become colours.
+    Scalar,
+    /// Colours.
+    Color,
+}
+
+/// What was chosen to draw, and why.
+#[derive(Debug, Clone)]
+pub struct ChosenBackend {
+    /// `cpu` or `gpu`.
+    pub name: &'static str,
+    /// What draws, in words.
+    pub adapter: String,
+    /// Why it was chosen.
+    pub reason: String,
 }
 
 /// What is behind the volume.
@@ -199,6 +229,45 @@ fn parse_background(text: &str) -> Result<Background, String> {
 }
 
 impl ViewArgs {
+    /// Makes a session draw on what was asked for, or on what suits best.
+    ///
+    /// # Errors
+    /// If a GPU was asked for and none can be used.
+    pub fn choose_backend(&self, session: &mut Session) -> anyhow::Result<ChosenBackend> {
+        let interpolation = match self.interpolation {
+            InterpolationName::Scalar => Interpolation::Scalar,
+            InterpolationName::Color => Interpolation::Color,
+        };
+        let options = GpuOptions { memory_bytes: self.gpu_memory.0, interpolation, ..GpuOptions::default() };
+        let cpu = |reason: String| {
+            anyhow::ensure!(
+                interpolation == Interpolation::Scalar,
+                "--interpolation color is for the GPU: add --backend gpu"
+            );
+            Ok(ChosenBackend { name: "cpu", adapter: cpu_adapter(), reason })
+        };
+        let mut gpu = |reason: String| {
+            let info = session.use_gpu(&options)?;
+            let adapter = format!("{} ({}, {}, {})", info.name, info.kind, info.backend, info.driver);
+            anyhow::Ok(ChosenBackend { name: "gpu", adapter, reason })
+        };
+        match self.backend {
+            Backend::Cpu => cpu("asked for".into()),
+            Backend::Gpu => gpu("asked for".into()),
+            Backend::Auto => match GpuRenderer::adapter(&options) {
+                Ok(info) if info.is_software && interpolation == Interpolation::Scalar => cpu(format!(
+                    "{} is a program on the CPU, slower than the CPU's own ray caster",
+                    info.name
+                )),
+                Ok(info) => {
+                    let reason = format!("{} is there", info.name);
+                    gpu(reason).or_else(|error| cpu(format!("{error:#}")))
+                }
+                Err(error) => cpu(error.to_string()),
+            },
+        }
+    }
+
     /// What the pictures show of an open store.
     ///
     /// # Errors
@@ -374,6 +443,11 @@ impl From<Background> for chronoxel_core::Background {
             Background::Color(color) => Self::Color(color),
         }
     }
+}
+
+/// What draws on the CPU, in words.
+fn cpu_adapter() -> String {
+    format!("{} threads, {}", rayon::current_num_threads(), chronoxel_render::kernel_name())
 }
 
 /// Text files given by the user are small; larger ones are a mistake.

@@ -287,7 +287,7 @@ fn load_brick(store: &Store, variable: usize, wanted: &Wanted) -> Loaded {
 }
 
 /// Bytes that a payload takes in memory, but for what is small.
-fn payload_bytes(payload: &Payload) -> usize {
+pub(super) fn payload_bytes(payload: &Payload) -> usize {
     let stage_bytes = |stage: &Stage| {
         let indices = match &stage.indices {
             Indices::U8(indices) => indices.len(),

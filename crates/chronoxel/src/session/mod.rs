@@ -5,6 +5,7 @@
 //! that a volume of any size can be drawn at full resolution.
 
 mod bricks;
+mod gpu;
 mod images;
 mod reference;
 mod select;
@@ -17,11 +18,12 @@ use chronoxel_core::{
     ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord,
     TimeNode, TransferFunction, UniformGrid,
 };
-use chronoxel_render::{CpuOptions, Frame, PreparedBrick, RenderStats, Scene};
+use chronoxel_render::{CpuOptions, Frame, GpuStats, PreparedBrick, RenderStats, Scene};
 use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::{BrickKey, PayloadKey};
+use gpu::OnGpu;
 use images::Images;
 use select::Colors;
 pub use select::{CoherenceView, Metric};
@@ -118,6 +120,8 @@ pub struct Picture {
     pub fetch_ms: f64,
     /// Time to draw, in milliseconds.
     pub render_ms: f64,
+    /// What the GPU did, where one drew.
+    pub on_gpu: Option<GpuStats>,
     /// What went wrong and was made up for: each names the brick.
     pub warnings: Vec<String>,
 }
@@ -137,6 +141,7 @@ pub struct Session {
     statistics: ByteLru<TimeNode, Arc<Vec<NodeStatistics>>>,
     colors: Colors,
     images: Images,
+    on_gpu: Option<OnGpu>,
     portion_bytes: usize,
     memory_bytes: u64,
 }
@@ -180,6 +185,7 @@ impl Session {
             statistics: ByteLru::new(share(SPANS_SHARE)),
             colors: Colors::default(),
             images: Images::new(0),
+            on_gpu: None,
             portion_bytes: share(PORTION_SHARE),
             memory_bytes,
         })
@@ -279,34 +285,35 @@ impl Session {
         let mut faults = Faults::default();
         let items = self.select(view, step, weight, &mut faults)?;
         let shares = Shares::of(&items, step, &self.store.header().grid);
-        let mut fetch_ms = start.elapsed().as_secs_f64() * 1e3;
-
-        let scene = self.scene(view);
-        let mut drawing = Drawing {
-            frame: Frame::new(&scene, CpuOptions::default())?,
-            bricks: BrickCounts::default(),
-            faults,
-            fetch_ms: 0.0,
+        let select_ms = start.elapsed().as_secs_f64() * 1e3;
+        let drawn = match self.on_gpu {
+            Some(_) if weight > 0.0 => bail!("--blend-steps is drawn by the CPU: use --backend cpu"),
+            Some(_) => self.draw_on_gpu(view, &items, faults)?,
+            None => self.draw_on_cpu(view, step, weight, &items, faults)?,
         };
-        if self.images.are_kept() && weight == 0.0 {
-            self.draw_parts(view, step, &items, &mut drawing)?;
-        } else {
-            self.draw_items(&items, step, weight, &mut drawing)?;
-        }
-        let Drawing { frame, bricks, faults, .. } = drawing;
-        fetch_ms += drawing.fetch_ms;
-        let (image, stats) = frame.finish();
-        let RenderStats { num_samples, render_ms, .. } = stats;
+        let Drawn { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = drawn;
         Ok(Picture {
             image,
-            samples: num_samples,
+            samples,
             bricks,
             shares,
-            fetch_ms,
+            fetch_ms: select_ms + fetch_ms,
             render_ms,
+            on_gpu,
             warnings: faults.warnings,
         })
     }
+}
+
+/// A picture that was drawn, and what it took.
+struct Drawn {
+    image: Image,
+    bricks: BrickCounts,
+    faults: Faults,
+    samples: u64,
+    fetch_ms: f64,
+    render_ms: f64,
+    on_gpu: Option<GpuStats>,
 }
 
 /// A picture being drawn.
@@ -318,6 +325,31 @@ struct Drawing<'a> {
 }
 
 impl Session {
+    fn draw_on_cpu(
+        &mut self,
+        view: &View,
+        step: u32,
+        weight: f64,
+        items: &[DrawItem],
+        faults: Faults,
+    ) -> anyhow::Result<Drawn> {
+        let scene = self.scene(view);
+        let mut drawing = Drawing {
+            frame: Frame::new(&scene, CpuOptions::default())?,
+            bricks: BrickCounts::default(),
+            faults,
+            fetch_ms: 0.0,
+        };
+        if self.images.are_kept() && weight == 0.0 {
+            self.draw_parts(view, step, items, &mut drawing)?;
+        } else {
+            self.draw_items(items, step, weight, &mut drawing)?;
+        }
+        let Drawing { frame, bricks, faults, fetch_ms } = drawing;
+        let (image, RenderStats { num_samples: samples, render_ms, .. }) = frame.finish();
+        Ok(Drawn { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu: None })
+    }
+
     /// Draws a part of a draw list, in portions that fit the memory.
     fn draw_items(
         &mut self,
