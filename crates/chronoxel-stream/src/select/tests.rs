@@ -1,3 +1,5 @@
+//! What the walk down the tree must choose: volumes and errors made up, lists checked.
+
 use std::{collections::HashMap, sync::Arc};
 
 use chronoxel_core::{
