@@ -268,8 +268,13 @@ fn sparseness_section() -> Section {
         Column::paper("zeros_percent", "paper: %", Style::Fixed(2)),
         Column::here("zeros_percent", "here: %", Style::Fixed(2)),
     ];
-    let notes = vec!["samples that are exactly zero"];
-    Section { title: "Table 1, spatial sparseness".to_owned(), columns, rows: Vec::new(), notes }
+    let notes = ["samples that are exactly zero"];
+    Section {
+        title: "Table 1, spatial sparseness".to_owned(),
+        columns,
+        rows: Vec::new(),
+        notes: notes.map(str::to_owned).into(),
+    }
 }
 
 fn compression_section() -> Section {
@@ -286,12 +291,17 @@ fn compression_section() -> Section {
         Column::here("store_ratio", "ratio", Style::Fixed(0)),
         Column::here("store_ratio_to_8_bits", "to 8 bits", Style::Fixed(0)),
     ];
-    let notes = vec![
+    let notes = [
         "cells as the paper counts them: four numbers of each texel; ratio: 4 * samples * steps / (index + refinement); \
          components of textures have 256 values",
         "store: all files, all levels of the octree, aprons and statistics included, at most the error of 8 bits",
     ];
-    Section { title: "Table 2, index and refinement textures".to_owned(), columns, rows: Vec::new(), notes }
+    Section {
+        title: "Table 2, index and refinement textures".to_owned(),
+        columns,
+        rows: Vec::new(),
+        notes: notes.map(str::to_owned).into(),
+    }
 }
 
 #[cfg(test)]

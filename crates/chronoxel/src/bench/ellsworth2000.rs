@@ -445,11 +445,11 @@ fn build_section(title: String) -> Section {
         Column::here("leaves", "bricks", Style::Fixed(0)),
         Column::here("nodes", "nodes", Style::Fixed(0)),
     ];
-    let notes = vec![
+    let notes = [
         "scalar: the whole encoding, which computes the statistics in passing; reference: every sample of every step, all threads; \
          approximate: 256 entries, one thread, all nodes over all time nodes, and over those that hold one step",
     ];
-    Section { title, columns, rows: Vec::new(), notes }
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }
 
 fn time_section(title: String) -> Section {
@@ -470,11 +470,11 @@ fn time_section(title: String) -> Section {
     .map(|(key, heading)| Column::here(key, heading, Style::Fixed(1)))
     .to_vec();
     columns.append(&mut heres);
-    let notes = vec![
+    let notes = [
         "640x480, a sample per half voxel, unlit, on the processor; plain: without the tree's errors; not cached: a pass over the steps \
          that starts with no brick in memory; cached: the next pass",
     ];
-    Section { title, columns, rows: Vec::new(), notes }
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }
 
 fn papers_times(metric: &str) -> [Column; 2] {
@@ -501,11 +501,11 @@ fn share_section(title: String) -> Section {
         Column::here("temporal_tolerance", "in time", Style::Scientific),
         Column::here("luv_distance", "L*u*v* distance", Style::Fixed(3)),
     ];
-    let notes = vec![
+    let notes = [
         "mean over the steps; reused: drawn from an earlier step; scalar: nothing is skipped for being transparent, as in the paper; \
          tolerances: searched for the same mean L*u*v* distance (D65) to the pictures without, half of it from coherence in space: slight 1.5 %, moderate 6 % of those \
          pictures' distance from black",
         "the paper, sparse, without tolerance: 66 % of its large Delta and 61 % of its F18 are not rendered",
     ];
-    Section { title, columns, rows: Vec::new(), notes }
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }

@@ -340,12 +340,12 @@ fn error_section(title: String) -> Section {
         Column::here("bits_per_sample", "bits/sample", Style::Fixed(3)),
         Column::here("bits_per_sample_without_apron", "without apron", Style::Fixed(3)),
     ];
-    let notes = vec![
+    let notes = [
         "values scaled to [0, 1] by the variable's range; min, max and avg over steps",
         "bits per sample and step: all files of the store; without apron: stored - payload * apron / (core + apron), \
          bytes of payloads after zstd times the apron's share before it",
     ];
-    Section { title, columns, rows: Vec::new(), notes }
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }
 
 fn time_section(title: String) -> Section {
@@ -356,8 +356,8 @@ fn time_section(title: String) -> Section {
         Column::here("cpu_secs_per_step", "CPU", Style::Fixed(3)),
     ];
     let notes =
-        vec!["all levels and their aprons, reading and writing included; scaled by the number of samples"];
-    Section { title, columns, rows: Vec::new(), notes }
+        ["all levels and their aprons, reading and writing included; scaled by the number of samples"];
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }
 
 fn rate_section(title: String) -> Section {
@@ -370,13 +370,13 @@ fn rate_section(title: String) -> Section {
         Column::here("ms_per_step", "ms/new step", Style::Fixed(2)),
         Column::here("steps_in_core", "steps in core", Style::Fixed(0)),
     ];
-    let notes = vec![
+    let notes = [
         "512x512 pixels, the box on a third of them or all of it in view, a sample per voxel along a ray, unlit, ramp; \
          a new step each frame, on the processor",
         "in-core: decoded bricks in memory; out-of-core: read from the store, which the system was told to forget, and decoded; \
          new step: what is read, and the time to select, read and decode",
     ];
-    Section { title, columns, rows: Vec::new(), notes }
+    Section { title, columns, rows: Vec::new(), notes: notes.map(str::to_owned).into() }
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! keys where both have them. What a bench works with lies in a [`Workplace`], which is removed at the end.
 
 pub mod binotto2003;
+pub mod binotto2003_speed;
 pub mod ellsworth2000;
 mod input;
 pub mod lum2001;
@@ -38,7 +39,7 @@ pub struct Section {
     /// The rows.
     pub rows: Vec<Row>,
     /// How the figures were taken.
-    pub notes: Vec<&'static str>,
+    pub notes: Vec<String>,
 }
 
 /// The paper's figures and those measured here, by name.

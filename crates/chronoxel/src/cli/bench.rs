@@ -14,7 +14,7 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Size, Workplace, binotto2003, ellsworth2000, lum2001},
+    bench::{BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, lum2001},
     progress::{Counted, Progress},
 };
 
@@ -30,6 +30,8 @@ use crate::{
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
   binotto2003  index and refinement textures: sparseness, cells and compression ratio at three levels, beside what a store takes
+  binotto2003-speed
+               frames per second at 200 and 500 slices and three sizes of picture, on the CPU and on a GPU where there is one
   ellsworth2000
                the time-space partitioning tree: time to compute its errors, ms per frame and what is drawn how, by metric, tolerance,
                transfer function and size of brick")]
@@ -57,6 +59,9 @@ enum BenchName {
     Lum2001,
     /// Real-time volume rendering of time-varying data using a fragment-shader compression approach (Binotto, Comba, Freitas, 2003)
     Binotto2003,
+    /// The same, its table of frame rates
+    #[value(name = "binotto2003-speed")]
+    Binotto2003Speed,
     /// Accelerating time-varying hardware volume rendering using TSP trees and color-based error metrics (Ellsworth, Chiang, Shen, 2000)
     Ellsworth2000,
 }
@@ -80,6 +85,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let names = match args.name {
         BenchName::Lum2001 => lum2001::sources(&args.source, size),
         BenchName::Binotto2003 => binotto2003::sources(&args.source),
+        BenchName::Binotto2003Speed => binotto2003_speed::sources(&args.source, size),
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
     };
     let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
@@ -100,6 +106,9 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     let report = match args.name {
         BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
         BenchName::Binotto2003 => binotto2003::run(inputs, &place, common.memory.0, &mut progress)?,
+        BenchName::Binotto2003Speed => {
+            binotto2003_speed::run(inputs, &place, common.memory.0, &mut progress)?
+        }
         BenchName::Ellsworth2000 => ellsworth2000::run(inputs, size, &place, common.memory.0, &mut progress)?,
     };
     if let Some(bar) = bar {

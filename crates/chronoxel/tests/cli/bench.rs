@@ -228,3 +228,18 @@ fn check_coherence(rows: &BTreeMap<String, Value>, source: &str, case: &str) {
         assert!((reference - approximate).abs() <= 5.0, "{source}, {case}: {key} {reference} {approximate}");
     }
 }
+
+#[test]
+fn binotto2003_frame_rates_stand_beside_what_was_measured() {
+    let folder = tempdir().unwrap();
+    let rows = rows(&json(folder.path(), "bench binotto2003-speed --source 'sim:plume?dims=16&steps=3'"));
+    assert_eq!(rows.len(), 6);
+    for row in rows.values() {
+        assert!(number(row, "here.fps_cpu") > 0.0, "{row}");
+    }
+    let row = &rows["Table 3, frames per second: sim:plume?dims=16&steps=3: 500 slices, 512x512"];
+    assert_eq!(number(row, "paper.fps"), 1.3);
+    if std::env::var("CHRONOXEL_REQUIRE_GPU").as_deref() == Ok("1") {
+        assert!(number(row, "here.fps_gpu") > 0.0, "{row}");
+    }
+}
