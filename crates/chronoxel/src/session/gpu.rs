@@ -146,7 +146,7 @@ impl Session {
                 GpuHow::Constant(_) | GpuHow::ConstantColor(..) => counts.constant += 1,
                 _ => {}
             }
-            bricks.push(GpuBrick { node: item.node, region: item.region, how });
+            bricks.push(GpuBrick { node: item.node, region: octree_box(item, self.store.layout()), how });
         }
         for of_level in missing.chunk_by(|a, b| a.2.level == b.2.level) {
             self.read_missing(on_gpu, of_level, items, &mut bricks, counts, faults)?;
@@ -183,7 +183,8 @@ impl Session {
                 Err(error) => {
                     faults.warn(format!("{error}; its parent is drawn instead"));
                     let (node, how) = self.gpu_stand_in(on_gpu, item.node, step, faults)?;
-                    bricks[*index] = GpuBrick { node, region: item.region, how };
+                    let region = bricks[*index].region;
+                    bricks[*index] = GpuBrick { node, region, how };
                 }
             }
         }
@@ -229,6 +230,17 @@ impl OnGpu {
     }
 }
 
+/// The whole cube of the octree of which a draw list's box is the part within the grid's bricks: the node's, or one of its octants.
+fn octree_box(item: &DrawItem, layout: &BrickLayout) -> [[f64; 3]; 2] {
+    let size = (layout.edge << item.node.level) as f64;
+    let [low, high] = item.region;
+    let node_low = item.node.brick().map(|b| f64::from(b) * size);
+    let is_in_first = (0..3).all(|a| high[a] <= low[a] + 0.5 * size);
+    let is_octant = item.node.level > 0 && (low != node_low || is_in_first);
+    let edge = if is_octant { 0.5 * size } else { size };
+    [low, low.map(|v| v + edge)]
+}
+
 fn read_held(store: &Store, variable: usize, level: u8, record: &SpanRecord) -> anyhow::Result<Held> {
     let payload = match record.kind {
         SpanKind::Coded { .. } => Some(store.read_payload(variable, level, record)?),
@@ -260,4 +272,32 @@ fn held(
 fn constant_payload(value: f64, layout: &BrickLayout) -> Payload {
     let indices = Indices::U8(vec![0; layout.num_full()]);
     Payload { stages: vec![Stage { indices, table: Table::Affine { offset: value, scale: 0.0 }, shift: 0 }] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_are_whole_cubes_of_the_octree() {
+        let layout = BrickLayout::new(8).unwrap();
+        let cube = |level, brick, low: [f64; 3], high: [f64; 3]| {
+            let node = NodeId::new(level, brick);
+            octree_box(&DrawItem { node, region: [low, high], steps: 0..1, how: How::Payload }, &layout)
+        };
+        // A brick; a node cut at the end of the grid; an octant of a node, and one that is cut.
+        assert_eq!(
+            cube(0, [2, 0, 1], [16.0, 0.0, 8.0], [24.0, 8.0, 16.0]),
+            [[16.0, 0.0, 8.0], [24.0, 8.0, 16.0]]
+        );
+        assert_eq!(
+            cube(1, [1, 0, 0], [16.0, 0.0, 0.0], [24.0, 16.0, 16.0]),
+            [[16.0, 0.0, 0.0], [32.0, 16.0, 16.0]]
+        );
+        assert_eq!(
+            cube(1, [0, 0, 0], [8.0, 8.0, 0.0], [16.0, 16.0, 8.0]),
+            [[8.0, 8.0, 0.0], [16.0, 16.0, 8.0]]
+        );
+        assert_eq!(cube(2, [0, 0, 0], [0.0, 0.0, 0.0], [16.0, 16.0, 8.0]), [[0.0; 3], [16.0; 3]]);
+    }
 }

@@ -9,6 +9,7 @@ mod damage;
 mod encode;
 mod files;
 mod fixture_v1;
+mod gpu;
 mod interruption;
 mod long_series;
 mod memory;

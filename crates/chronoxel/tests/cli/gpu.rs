@@ -1,0 +1,118 @@
+//! Drawing on a GPU, or a software driver of one.
+
+use std::path::Path;
+
+use serde_json::json;
+use tempfile::tempdir;
+
+use crate::{
+    command::{at, done, json, number, refused, run},
+    files::{picture, write_u8_steps},
+};
+
+const DIMS: [usize; 3] = [40, 24, 20];
+
+/// A blob that stays and one that moves.
+fn sample(step: usize, place: [usize; 3]) -> u8 {
+    let [x, y, z] = place.map(|i| i as f64);
+    let blob = |cx: f64, r: f64| (-((x - cx).powi(2) + (y - 12.0).powi(2) + (z - 9.0).powi(2)) / r).exp();
+    (20.0 + 120.0 * blob(30.0, 40.0) + 100.0 * blob(4.0 + step as f64, 25.0)) as u8
+}
+
+/// A store of eight steps in windows of four; false where there is nothing to draw it on, which is said, and fails where CI must have an adapter.
+fn is_ready(folder: &Path) -> bool {
+    write_u8_steps(&folder.join("source.npy"), 8, DIMS, sample);
+    done(folder, "encode source.npy -o run.cxl --brick 16 --codec vq --window 4 -q");
+    let ran = run(folder, "render run.cxl --backend gpu --size 8x8 -o probe.png -q");
+    if ran.status == 0 {
+        return true;
+    }
+    assert!(ran.stderr.contains("no GPU adapter"), "{ran:?}");
+    assert!(std::env::var("CHRONOXEL_REQUIRE_GPU").as_deref() != Ok("1"), "{ran:?}");
+    eprintln!("skipped: {}", ran.stderr);
+    false
+}
+
+#[test]
+fn the_gpu_draws_what_the_cpu_draws() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    if !is_ready(folder) {
+        return;
+    }
+    for options in [
+        "--tf filled",
+        "--tf sparse --lighting off --ortho",
+        "--tf ramp --level 1",
+        "--spatial-tolerance 0.1 --tf filled",
+    ] {
+        let draw = |backend: &str| {
+            json(
+                folder,
+                &format!("render run.cxl -t 5 --size 80x60 {options} --backend {backend} -o {backend}.png"),
+            )
+        };
+        let [cpu, gpu] = ["cpu", "gpu"].map(draw);
+        assert_eq!([at(&cpu, "backend"), at(&gpu, "backend")], [&json!("cpu"), &json!("gpu")]);
+        assert_eq!(at(&gpu, "samples_of_grid"), at(&cpu, "samples_of_grid"));
+        let compared = json(folder, "compare cpu.png gpu.png");
+        assert!(
+            at(&compared, "psnr_db").is_null() || number(&compared, "psnr_db") >= 45.0,
+            "{options}: {compared}"
+        );
+        let [a, b] = ["cpu", "gpu"].map(|name| picture(folder.join(format!("{name}.png"))));
+        let pairs = a.pixels.iter().zip(&b.pixels);
+        let off = pairs.filter(|(p, q)| (0..4).any(|i| p[i].abs_diff(q[i]) > 2)).count();
+        assert!(off as f64 <= 0.001 * 4800.0, "{options}: {off} pixels");
+    }
+}
+
+#[test]
+fn a_new_step_within_a_window_uploads_next_to_nothing() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    if !is_ready(folder) {
+        return;
+    }
+    let play = |steps: &str| {
+        json(folder, &format!("play run.cxl --backend gpu --size 64x48 --steps {steps} --gpu-memory 64MiB"))
+    };
+    let report = play("0:8");
+    assert!(number(&report, "gpu_bytes_peak") > 0.0 && number(&report, "gpu_bytes_peak") <= 64.0 * 1048576.0);
+    // The first frame is drawn before the clock starts; the bricks' windows begin at different steps.
+    let all = number(&report, "bytes_uploaded");
+    let again = number(
+        &json(folder, "play run.cxl --backend gpu --size 64x48 --steps 2:3 --frames 4"),
+        "bytes_uploaded",
+    );
+    assert!(again < 0.2 * all, "{again} of {all} bytes for a step that is there");
+    let text = done(folder, "play run.cxl --backend gpu --size 64x48").stdout;
+    assert!(text.contains("on gpu"), "{text}");
+}
+
+#[test]
+fn what_the_gpu_does_not_do_is_refused() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    if !is_ready(folder) {
+        return;
+    }
+    refused(folder, "render run.cxl --backend gpu --time 2.5 --blend-steps -o x.png", &["--backend cpu"]);
+    refused(folder, "play run.cxl --backend gpu --image-cache 1MiB", &["--image-cache"]);
+    refused(folder, "render run.cxl --backend gpu --gpu-memory 1KiB -o x.png", &["GPU memory"]);
+    refused(folder, "render run.cxl --backend cpu --interpolation color -o x.png", &["--backend gpu"]);
+}
+
+#[test]
+fn what_draws_is_said_with_the_reason() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    if !is_ready(folder) {
+        return;
+    }
+    let report = json(folder, "render run.cxl --size 8x8 -o auto.png");
+    let reason = at(&report, "backend_reason").as_str().unwrap();
+    assert!(reason.len() > 10 && !reason.contains('\n'), "{reason}");
+    let text = done(folder, "render run.cxl --size 8x8 -o auto.png -v").stdout;
+    assert!(text.contains(reason), "{text}");
+}
