@@ -443,7 +443,7 @@ fn check_interrupted(
 #[test]
 fn random_partitions_survive_random_interruptions() {
     let (mut shards, mut totals) = (BTreeSet::new(), [0; 2]);
-    let num_cases: u64 = std::env::var("CHRONOXEL_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(16);
+    let num_cases: u64 = std::env::var("CHRONOXEL_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(8);
     for seed in 0..num_cases {
         let mut random = Random(seed);
         let case = case(&mut random);

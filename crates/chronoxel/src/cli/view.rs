@@ -127,10 +127,6 @@ pub enum MetricName {
     ColorReference,
     /// Variation of colours, estimated at once from the statistics of the values.
     ColorApproximate,
-    /// As color-reference, with distances in L*u*v*.
-    ColorReferenceLuv,
-    /// As color-approximate, with distances in L*u*v*.
-    ColorApproximateLuv,
 }
 
 /// Which time step a picture shows.
@@ -404,8 +400,6 @@ impl CoherenceArgs {
             MetricName::Scalar => Metric::Scalar,
             MetricName::ColorReference => Metric::ColorReference(ColorSpace::Rgb),
             MetricName::ColorApproximate => Metric::ColorApproximate(ColorSpace::Rgb),
-            MetricName::ColorReferenceLuv => Metric::ColorReference(ColorSpace::Luv),
-            MetricName::ColorApproximateLuv => Metric::ColorApproximate(ColorSpace::Luv),
         };
         is_asked_for.then_some(CoherenceView { metric, tolerances, skips_transparent: true })
     }
