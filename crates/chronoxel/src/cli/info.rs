@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use chronoxel_core::{TimeAxis, UniformGrid};
+use chronoxel_core::{TimeAxis, UniformGrid, time_tree::num_time_levels};
 use chronoxel_ingest::TimeSeries;
 use chronoxel_store::Store;
 
@@ -109,6 +109,10 @@ fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
         },
         "num_levels": header.levels.len(),
         "levels": levels,
+        "time_tree": header.time_tree.map(|tree| json!({
+            "levels": num_time_levels(header.num_steps()),
+            "stride": tree.stride,
+        })),
         "stored_bytes": stored_bytes,
         "ratio": raw_bytes as f64 / stored_bytes.max(1) as f64,
         "payloads": {
@@ -258,6 +262,18 @@ fn text(report: &InfoReport) -> String {
             "{:<10} {} levels of bricks with {} samples an edge",
             "tree", report.store["num_levels"], report.store["brick"]["edge"]
         ));
+        lines.push(match &report.store["time_tree"] {
+            Value::Null => format!("{:<10} none: metrics and tolerances cannot be used", "time tree"),
+            tree => format!(
+                "{:<10} {} levels of statistics; temporal errors of every {}sample",
+                "time tree",
+                tree["levels"],
+                match tree["stride"].as_u64() {
+                    Some(stride @ 2..) => format!("{stride}{} ", if stride == 2 { "nd" } else { "th" }),
+                    _ => String::new(),
+                }
+            ),
+        });
         let payloads = &report.store["payloads"];
         lines.push(format!(
             "{:<10} {} coded, {} shared, {} constant, {} empty",
