@@ -19,8 +19,7 @@ pub(super) struct Edge {
 /// The edges that the plane between the corners passed and the others crosses: a ring, each place knowing the next.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ActiveEdges {
-    /// Of each place in the ring, the edge. Passing corners takes up no more than six places in all.
-    edges: [Edge; MAX_EDGES],
+    /// Passing corners takes up no more than six places in all.
     next: [u8; MAX_EDGES],
     num_places: u8,
     head: u8,
@@ -30,31 +29,41 @@ pub(super) struct ActiveEdges {
 }
 
 impl ActiveEdges {
-    /// Passes a corner, see figure 3 of the paper.
+    /// Passes a corner, see figure 3 of the paper; `put` is told of each edge that becomes active, and its place.
     #[inline]
-    pub(super) fn pass(&mut self, corner: u8) {
+    pub(super) fn pass(&mut self, corner: u8, mut put: impl FnMut(usize, Edge)) {
+        let mut put = |active: &mut Self, place: u8, axis: u8| {
+            active.places[usize::from(axis)][usize::from(corner)] = place;
+            put(usize::from(place), Edge { corner, axis });
+        };
         match 3 - corner.count_ones() {
-            3 => self.begin(corner),
-            2 => self.replace_one_by_two(corner),
-            1 => self.replace_two_by_one(corner),
+            3 => self.begin(&mut put),
+            2 => self.replace_one_by_two(corner, &mut put),
+            1 => self.replace_two_by_one(corner, &mut put),
             _ => self.len = 0,
         }
     }
 
-    /// The active edges in the order of the polygon, counter-clockwise as seen from the eye.
+    /// How many edges are active.
     #[inline]
-    pub(super) fn iter(&self) -> impl Iterator<Item = Edge> {
-        let mut place = self.head;
+    pub(super) fn len(&self) -> usize {
+        usize::from(self.len)
+    }
+
+    /// The places of the active edges in the order of the polygon, counter-clockwise as seen from the eye.
+    #[inline]
+    pub(super) fn places(&self) -> impl Iterator<Item = usize> {
+        let mut place = usize::from(self.head);
         (0..self.len).map(move |_| {
-            let edge = self.edges[usize::from(place)];
-            place = self.next[usize::from(place)];
-            edge
+            let next = usize::from(self.next[place]);
+            std::mem::replace(&mut place, next)
         })
     }
 
-    fn begin(&mut self, corner: u8) {
+    #[inline]
+    fn begin(&mut self, put: &mut impl FnMut(&mut Self, u8, u8)) {
         for axis in 0..3 {
-            self.put(axis, Edge { corner, axis });
+            put(self, axis, axis);
             self.next[usize::from(axis)] = (axis + 1) % 3;
         }
         (self.head, self.num_places, self.len) = (0, 3, 3);
@@ -62,31 +71,28 @@ impl ActiveEdges {
 
     /// Of the two new edges, that along the axis before the old one's comes first: it shares a face with the edge that
     /// stands before the old one in the ring.
-    fn replace_one_by_two(&mut self, corner: u8) {
+    #[inline]
+    fn replace_one_by_two(&mut self, corner: u8, put: &mut impl FnMut(&mut Self, u8, u8)) {
         let axis = corner.trailing_zeros() as u8;
         let (first, second) = (self.places[usize::from(axis)][0], self.num_places);
-        self.put(first, Edge { corner, axis: (axis + 2) % 3 });
-        self.put(second, Edge { corner, axis: (axis + 1) % 3 });
+        put(self, first, (axis + 2) % 3);
+        put(self, second, (axis + 1) % 3);
         self.next[usize::from(second)] = self.next[usize::from(first)];
         self.next[usize::from(first)] = second;
         self.num_places += 1;
         self.len += 1;
     }
 
-    fn replace_two_by_one(&mut self, corner: u8) {
+    #[inline]
+    fn replace_two_by_one(&mut self, corner: u8, put: &mut impl FnMut(&mut Self, u8, u8)) {
         let axis = (!corner).trailing_zeros() as u8;
         let [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
         let kept = self.places[usize::from(b)][1 << a];
         let dropped = self.places[usize::from(a)][1 << b];
-        self.put(kept, Edge { corner, axis });
+        put(self, kept, axis);
         self.next[usize::from(kept)] = self.next[usize::from(dropped)];
         self.head = kept;
         self.len -= 1;
-    }
-
-    fn put(&mut self, place: u8, edge: Edge) {
-        self.edges[usize::from(place)] = edge;
-        self.places[usize::from(edge.axis)][usize::from(edge.corner)] = place;
     }
 }
 
@@ -126,8 +132,9 @@ mod tests {
         let mut num_orders = 0;
         orders(&mut Vec::new(), &mut |passed| {
             let mut active = ActiveEdges::default();
-            passed.iter().for_each(|&corner| active.pass(corner));
-            let ring: Vec<Edge> = active.iter().collect();
+            let mut edges = [Edge::default(); MAX_EDGES];
+            passed.iter().for_each(|&corner| active.pass(corner, |place, edge| edges[place] = edge));
+            let ring: Vec<Edge> = active.places().map(|place| edges[place]).collect();
             let is_crossed = |e: Edge| passed.contains(&ends(e)[0]) && !passed.contains(&ends(e)[1]);
             let crossed = (0..24).map(|i| Edge { corner: i / 3, axis: i % 3 });
             let crossed = crossed.filter(|&e| e.corner >> e.axis & 1 == 0 && is_crossed(e));
@@ -139,7 +146,7 @@ mod tests {
             }
             num_orders += usize::from(passed.len() == 8);
         });
-        // The linear extensions of the subsets of three, as counted by Dedekind's problem (OEIS A046873).
+        // The total orders of the subsets of three that extend inclusion: OEIS A046873.
         assert_eq!(num_orders, 48);
     }
 }

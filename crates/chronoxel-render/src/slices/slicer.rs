@@ -42,6 +42,8 @@ pub struct Slicer {
     first_slice: i32,
     /// The axes of the [`ActiveEdges`], counter-clockwise at the corner that is passed first.
     axes: [usize; 3],
+    /// Its corners: along each axis of the box, whether on the low or the high face.
+    corners: [[usize; 3]; 8],
     /// Along each axis, what an edge's crossing moves from slice to slice, and for a unit of depth.
     slopes: [f64; 3],
     per_depth: [f64; 3],
@@ -78,7 +80,11 @@ impl Slicer {
             return Err(RenderError::invalid("slice distance", distance, remedy));
         }
         let normal = normal.map(|n| if n.abs() < SMALLEST_COMPONENT * largest { 0.0 } else { n });
-        let num_falling = normal.iter().filter(|n| **n < 0.0).count();
+        // From the corner nearest to the eye, x, y and z appear clockwise where all of them lead away from it; so they
+        // do at the farthest corner, from which they lead the other way.
+        let is_falling = normal.map(|n| n < 0.0);
+        let axes = if is_falling.iter().filter(|f| **f).count() % 2 == 0 { [0, 2, 1] } else { [0, 1, 2] };
+        let is_high = is_falling.map(|f| f != (order == SliceOrder::BackToFront));
         Ok(Self {
             normal,
             origin,
@@ -86,8 +92,8 @@ impl Slicer {
             per_distance: 1.0 / distance,
             order,
             first_slice: i32::MIN,
-            // From the corner nearest to the eye, x, y and z appear clockwise where all of them lead away from it.
-            axes: if num_falling % 2 == 0 { [0, 2, 1] } else { [0, 1, 2] },
+            axes,
+            corners: std::array::from_fn(|number| corner_of(number, axes, is_high)),
             slopes: normal.map(|n| distance / n),
             per_depth: normal.map(|n| 1.0 / n),
         })
@@ -139,21 +145,23 @@ impl Slicer {
             return Ok(0);
         }
         let cut = BoxToCut::new(self, bounds);
-        let Some(slices) = self.slices_of(&cut, list)? else { return Ok(0) };
-        let num_before = list.num_polygons();
-        self.sweep(&cut, slices, list);
-        Ok(list.num_polygons() - num_before)
+        let slices = self.slices_of(&cut, list)?;
+        if !slices.is_empty() {
+            self.sweep(&cut, slices.clone(), list);
+        }
+        Ok(slices.len())
     }
 
     /// The slices of a box.
-    fn slices_of(&self, cut: &BoxToCut, list: &SliceList) -> Result<Option<Range<i32>>, RenderError> {
-        let [near, far] = [cut.depth(cut.nearest), cut.depth(7 ^ cut.nearest)];
+    #[inline]
+    fn slices_of(&self, cut: &BoxToCut, list: &SliceList) -> Result<Range<i32>, RenderError> {
         let remedy = "give a larger slice distance, or smaller boxes";
-        let magnitude = near.abs().max(far.abs()) * self.per_distance;
+        let [a, b] = [cut.depths[0], cut.depths[7]];
+        let magnitude = a.abs().max(b.abs()) * self.per_distance;
         if magnitude > MAX_SLICE {
             return Err(RenderError::invalid("number of slices up to a box", magnitude, remedy));
         }
-        let slices = self.first_at(near).max(self.first_slice)..self.first_at(far);
+        let slices = self.first_at(a.min(b)).max(self.first_slice)..self.first_at(a.max(b));
         let num_slices = slices.len();
         if num_slices > MAX_SLICES_PER_BOX {
             return Err(RenderError::invalid("number of slices of a box", num_slices, remedy));
@@ -162,33 +170,34 @@ impl Slicer {
             let remedy = "draw the list and clear it, or give a larger slice distance";
             return Err(RenderError::invalid("number of vertices of slices", list.positions.len(), remedy));
         }
-        Ok((num_slices > 0).then_some(slices))
+        Ok(slices)
     }
 
     /// The first plane at a depth or beyond, which passes a corner there: the least `k` whose `k · distance`, rounded,
     /// is not below. It follows from the depth alone, so that boxes agree about the corners they share.
     #[inline]
     fn first_at(&self, depth: f64) -> i32 {
-        let k = (depth * self.per_distance).ceil();
-        let k = if (k - 1.0) * self.distance >= depth { k - 1.0 } else { k };
-        let k = if k * self.distance < depth { k + 1.0 } else { k };
-        k as i32
+        // Rounded towards zero, it is never far below; `ceil` is a call where the processor's kind is not known.
+        let k = (depth * self.per_distance) as i32 - 1;
+        let is_before = |k: i32| i32::from(f64::from(k) * self.distance < depth);
+        k + is_before(k) + is_before(k + 1) + is_before(k + 2)
     }
 
     /// Passes the corners of a box one after another, and writes the slices between each and the next.
     fn sweep(&self, cut: &BoxToCut, slices: Range<i32>, list: &mut SliceList) {
         let corners = self.corners_in_order(cut);
         let mut active = ActiveEdges::default();
+        let mut lines = [EdgeLine::default(); MAX_EDGES];
         for pair in corners.windows(2) {
-            active.pass((pair[0] & 7) as u8);
-            // Shifted, the keys are the planes that pass the two corners; the ends of the planes' range are theirs, too.
+            active.pass((pair[0] & 7) as u8, |place, edge| lines[place] = self.line_of(cut, edge));
+            // Below the corner's number is the first plane that has passed it, or before which it has been passed.
             let [from, to] = [(pair[0] >> 3) as i32, (pair[1] >> 3) as i32];
             let run = match self.order {
                 SliceOrder::FrontToBack => from.max(slices.start)..to,
                 SliceOrder::BackToFront => (1 - to).max(slices.start)..1 - from,
             };
             if !run.is_empty() {
-                self.write_run(cut, &active, run, list);
+                self.write_run(&active, &lines, run, list);
             }
         }
     }
@@ -196,55 +205,26 @@ impl Slicer {
     /// The corners in the order in which the planes pass them, as numbers of [`ActiveEdges`], below what they are
     /// sorted by: the first plane that has passed them, planes being counted downwards from back to front. Where
     /// several are passed at once, those with fewer bits come first, since their numbers are smaller.
+    #[inline]
     fn corners_in_order(&self, cut: &BoxToCut) -> [i64; 8] {
-        let [a, b, c] = self.axes;
-        let mut corners: [i64; 8] = std::array::from_fn(|number| {
-            let bits = (number & 1) << a | (number >> 1 & 1) << b | (number >> 2) << c;
-            let first = self.first_at(cut.depth(bits ^ cut.first));
+        sorted_between(std::array::from_fn(|number| {
+            let first = self.first_at(cut.depths[number]);
             let key = match self.order {
                 SliceOrder::FrontToBack => first,
                 SliceOrder::BackToFront => 1 - first,
             };
             i64::from(key) << 3 | number as i64
-        });
-        corners.sort_unstable();
-        corners
+        }))
     }
 
-    fn write_run(&self, cut: &BoxToCut, active: &ActiveEdges, run: Range<i32>, list: &mut SliceList) {
-        let mut lines = [EdgeLine::default(); MAX_EDGES];
-        let mut num_lines = 0;
-        for (line, edge) in lines.iter_mut().zip(active.iter()) {
-            *line = self.line_of(cut, edge);
-            num_lines += 1;
-        }
-        let first = list.positions.len();
-        let num_vertices = num_lines * run.len();
-        list.firsts.extend((first..first + num_vertices).step_by(num_lines).map(|v| v as u32));
-        match self.order {
-            SliceOrder::FrontToBack => list.slices.extend(run.clone()),
-            SliceOrder::BackToFront => list.slices.extend(run.clone().rev()),
-        }
-        list.positions.resize(first + num_vertices, [0.0; 3]);
-        let slices = &list.slices[list.slices.len() - run.len()..];
-        let positions = &mut list.positions[first..];
-        match lines {
-            [a, b, c, ..] if num_lines == 3 => write_polygons(&[a, b, c], slices, positions),
-            [a, b, c, d, ..] if num_lines == 4 => write_polygons(&[a, b, c, d], slices, positions),
-            [a, b, c, d, e, _] if num_lines == 5 => write_polygons(&[a, b, c, d, e], slices, positions),
-            _ => write_polygons(&lines, slices, positions),
-        }
-    }
-
+    #[inline]
     fn line_of(&self, cut: &BoxToCut, edge: Edge) -> EdgeLine {
-        let [a, b, c] = self.axes;
-        let number = usize::from(edge.corner);
-        let bits = ((number & 1) << a | (number >> 1 & 1) << b | (number >> 2) << c) ^ cut.first;
+        let corner = self.corners[usize::from(edge.corner)];
         let axis = self.axes[usize::from(edge.axis)];
         let [u, v] = OTHER_AXES[axis];
-        let depth = cut.terms[bits >> u & 1][u] + cut.terms[bits >> v & 1][v];
+        let depth = cut.terms[corner[u]][u] + cut.terms[corner[v]][v];
         EdgeLine {
-            corner: std::array::from_fn(|a| cut.bounds[bits >> a & 1][a] as f32),
+            corner: std::array::from_fn(|a| cut.bounds[corner[a]][a] as f32),
             axis,
             at_origin: self.origin[axis] - depth * self.per_depth[axis],
             slope: self.slopes[axis],
@@ -252,38 +232,61 @@ impl Slicer {
             high: cut.bounds[1][axis],
         }
     }
+
+    /// Writes slices that cross the same edges.
+    fn write_run(
+        &self,
+        active: &ActiveEdges,
+        lines: &[EdgeLine; MAX_EDGES],
+        run: Range<i32>,
+        list: &mut SliceList,
+    ) {
+        let (num_slices, first) = (run.len(), list.positions.len());
+        list.firsts.extend((0..num_slices).map(|i| (first + i * active.len()) as u32));
+        match self.order {
+            SliceOrder::FrontToBack => list.slices.extend(run),
+            SliceOrder::BackToFront => list.slices.extend(run.rev()),
+        }
+        list.positions.resize(first + num_slices * active.len(), [0.0; 3]);
+        let slices = &list.slices[list.slices.len() - num_slices..];
+        let positions = &mut list.positions[first..];
+        match active.len() {
+            3 => write_polygons::<3>(active, lines, slices, positions),
+            4 => write_polygons::<4>(active, lines, slices, positions),
+            5 => write_polygons::<5>(active, lines, slices, positions),
+            _ => write_polygons::<6>(active, lines, slices, positions),
+        }
+    }
+}
+
+/// On which faces the corner of a number lies, given those of corner 0: bit `i` puts it on the other face of `axes[i]`.
+fn corner_of(number: usize, axes: [usize; 3], is_high: [bool; 3]) -> [usize; 3] {
+    let mut corner = is_high.map(usize::from);
+    (0..3).for_each(|i| corner[axes[i]] ^= number >> i & 1);
+    corner
 }
 
 /// For each axis, the two others, lower first.
 const OTHER_AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
 
-/// A box, and the depths of its corners. Bit `a` of a corner's number is set where it lies on the high face of axis `a`.
+/// A box, and the depths of its corners.
 struct BoxToCut {
     bounds: [[f64; 3]; 2],
     /// What each face adds to the depth of its corners.
     terms: [[f64; 3]; 2],
-    nearest: usize,
-    /// The corner that the planes pass first: the nearest, or the farthest.
-    first: usize,
+    /// By the numbers of [`ActiveEdges`].
+    depths: [f64; 8],
 }
 
 impl BoxToCut {
+    /// Depths are always summed in the same order, so that boxes agree about the corners they share. Rounding cannot
+    /// order two ends of an edge wrongly: sums grow with their terms.
+    #[inline]
     fn new(slicer: &Slicer, bounds: [[f64; 3]; 2]) -> Self {
         let terms =
             bounds.map(|face| std::array::from_fn(|a| slicer.normal[a] * (face[a] - slicer.origin[a])));
-        let nearest = (0..3).map(|a| usize::from(slicer.normal[a] < 0.0) << a).sum();
-        let first = match slicer.order {
-            SliceOrder::FrontToBack => nearest,
-            SliceOrder::BackToFront => 7 ^ nearest,
-        };
-        Self { bounds, terms, nearest, first }
-    }
-
-    /// Always summed in the same order, so that boxes agree about the corners they share. Rounding cannot order two
-    /// ends of an edge wrongly: sums grow with their terms.
-    #[inline]
-    fn depth(&self, corner: usize) -> f64 {
-        self.terms[corner & 1][0] + self.terms[corner >> 1 & 1][1] + self.terms[corner >> 2][2]
+        let depth = |[x, y, z]: [usize; 3]| terms[x][0] + terms[y][1] + terms[z][2];
+        Self { bounds, terms, depths: slicer.corners.map(depth) }
     }
 }
 
@@ -298,15 +301,51 @@ struct EdgeLine {
     high: f64,
 }
 
+/// Sorts the keys between the first and the last, which are the least and the greatest, by a network of comparisons.
+#[inline]
+fn sorted_between(mut keys: [i64; 8]) -> [i64; 8] {
+    const NETWORK: [[usize; 2]; 12] =
+        [[1, 6], [2, 4], [3, 5], [2, 3], [4, 5], [1, 4], [3, 6], [1, 2], [3, 4], [5, 6], [2, 3], [4, 5]];
+    for [i, j] in NETWORK {
+        (keys[i], keys[j]) = (keys[i].min(keys[j]), keys[i].max(keys[j]));
+    }
+    keys
+}
+
 /// Writes the polygons of slices that cross the same `N` edges.
 #[inline]
-fn write_polygons<const N: usize>(lines: &[EdgeLine; N], slices: &[i32], positions: &mut [[f32; 3]]) {
+fn write_polygons<const N: usize>(
+    active: &ActiveEdges,
+    lines: &[EdgeLine; MAX_EDGES],
+    slices: &[i32],
+    positions: &mut [[f32; 3]],
+) {
+    let mut ring = [EdgeLine::default(); N];
+    ring.iter_mut().zip(active.places()).for_each(|(line, place)| *line = lines[place]);
     let (polygons, _) = positions.as_chunks_mut::<N>();
     for (polygon, &slice) in polygons.iter_mut().zip(slices) {
-        for (vertex, line) in polygon.iter_mut().zip(lines) {
+        for (vertex, line) in polygon.iter_mut().zip(&ring) {
             let place = line.at_origin + f64::from(slice) * line.slope;
+            // Both are one instruction, which `max` and `min` are not for the sake of numbers that cannot be here.
+            let place = if place > line.low { place } else { line.low };
+            let place = if place < line.high { place } else { line.high };
             *vertex = line.corner;
-            vertex[line.axis] = place.max(line.low).min(line.high) as f32;
+            vertex[line.axis] = place as f32;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_network_sorts() {
+        // A network that sorts all sequences of two values sorts all sequences.
+        for bits in 0..64 {
+            let keys = std::array::from_fn(|i| if i == 0 { -1 } else { i64::from(bits << 1 >> i & 1) });
+            let keys = [keys[0], keys[1], keys[2], keys[3], keys[4], keys[5], keys[6], 2];
+            assert!(sorted_between(keys).is_sorted(), "{keys:?}");
         }
     }
 }
