@@ -164,11 +164,19 @@ fn a_camera_sees_planes_in_front_of_it_in_world_and_voxel_coordinates() {
         let camera = Camera::new(eye, grid.bounds()[1], [0.0, 1.0, 0.0], projection).unwrap();
         let order = SliceOrder::FrontToBack;
         let (mut world, mut voxels) = (SliceList::default(), SliceList::default());
+        Slicer::of_camera(&camera, 0.3, SliceOrder::BackToFront)
+            .unwrap()
+            .slice(grid.bounds(), &mut world)
+            .unwrap();
+        let mut from_the_back = world.slices().to_vec();
+        from_the_back.reverse();
+        world.clear();
         Slicer::of_camera(&camera, 0.3, order).unwrap().slice(grid.bounds(), &mut world).unwrap();
         let region = [[0.0; 3], grid.dims.map(|n| (n - 1) as f64)];
         let slicer = Slicer::of_camera_in_voxels(&camera, &grid, 0.3, order).unwrap();
         assert_eq!(slicer.slice(region, &mut voxels).unwrap(), voxels.num_polygons());
         assert!(world.slices() == voxels.slices() && world.firsts() == voxels.firsts());
+        assert_eq!(world.slices(), from_the_back);
         assert_eq!(world.slices(), (1..=world.num_polygons() as i32).collect::<Vec<_>>());
         for (world, voxel) in world.positions().iter().zip(voxels.positions()) {
             let mapped = grid.world_from_voxel(voxel.map(f64::from));
@@ -198,6 +206,41 @@ fn a_view_that_is_along_an_axis_but_for_rounding_has_whole_faces() {
             assert!(at_corners >= 8, "{azimuth} {elevation}: {:?}", list.polygon(i));
         }
     }
+}
+
+#[test]
+fn rounding_of_a_direction_along_an_axis_moves_no_plane_out_of_a_face() {
+    let bounds = [[0.0; 3], [8.0; 3]];
+    for order in ORDERS {
+        let (normal, origin) = ([6.1e-17, -1.2e-16, 1.0], [100.0, -70.0, -10.0]);
+        let list = slice(&Case { normal, origin, distance: 0.25, bounds }, &[bounds], order);
+        assert_eq!((list.num_polygons(), list.positions().len()), (32, 128));
+        assert_eq!(list.slices().iter().min(), Some(&40));
+        let is_corner = |p: &[f32; 3]| [0, 1].iter().all(|&a| p[a] == 0.0 || p[a] == 8.0);
+        assert!(list.positions().iter().all(is_corner));
+    }
+}
+
+#[test]
+fn vertices_stay_in_the_box_where_rounding_moves_them_along_edges() {
+    let mut random = Random(6);
+    let mut num_vertices = 0;
+    for _ in 0..2_000 {
+        let tilts = [(); 2].map(|()| 10f64.powf(random.between(-11.5, -9.0)));
+        let low = [(); 3].map(|()| random.between(10.0, 20.0));
+        let bounds = [low, low.map(|c| c + 1.0)];
+        // The plane 1 is the one in which, but for rounding, the near face lies.
+        let (origin, normal) = ([-500.0, 300.0, -1000.0], [tilts[0], -tilts[1], 1.0]);
+        let middle: f64 = (0..2).map(|a| normal[a] * (low[a] + 0.5 - origin[a])).sum();
+        let case = Case { normal, origin, distance: low[2] - origin[2] + middle, bounds };
+        let list = slice(&case, &[bounds], SliceOrder::FrontToBack);
+        num_vertices += list.positions().len();
+        for p in list.positions() {
+            let is_inside = |a: usize| (bounds[0][a] as f32..=bounds[1][a] as f32).contains(&p[a]);
+            assert!((0..3).all(is_inside), "{case:?}: {p:?}");
+        }
+    }
+    assert!(num_vertices > 6_000, "{num_vertices}");
 }
 
 #[test]

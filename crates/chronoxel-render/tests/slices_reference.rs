@@ -164,8 +164,12 @@ fn polygons_drawn_over_each_other_are_the_reference() {
     let grid = UniformGrid::new([31, 30, 29], [5.0, -3.0, 1.0], [1.0, 0.7, 1.3]).unwrap();
     let at = |[x, y, z]: [f64; 3]| 0.5 * x + 0.3 * y + 0.2 * z;
     let field = Field::new(grid, at);
-    for fov in [Some(45.0), None] {
-        let camera = Camera::orbit(grid.bounds(), 33.0, 21.0, 1.1, fov, 1.2).unwrap();
+    let outside =
+        [Some(45.0), None].map(|fov| Camera::orbit(grid.bounds(), 33.0, 21.0, 1.1, fov, 1.2).unwrap());
+    let eye = grid.world_from_voxel([12.3, 13.1, 14.7]);
+    let projection = Projection::Perspective { fov_y_deg: 70.0 };
+    let inside = Camera::new(eye, grid.bounds()[1], [0.0, 1.0, 0.0], projection).unwrap();
+    for camera in [outside[0], outside[1], inside] {
         let scene = Scene { camera, size: [48, 40], step_voxels: 1.1, ..scene_of(&field, 8, "ramp", false) };
         let reference = render_slices_reference(&scene, &dense(&field)).unwrap();
         let polygons = project(&scene);
