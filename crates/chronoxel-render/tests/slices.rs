@@ -210,13 +210,13 @@ fn a_view_that_is_along_an_axis_but_for_rounding_has_whole_faces() {
 
 #[test]
 fn rounding_of_a_direction_along_an_axis_moves_no_plane_out_of_a_face() {
-    let bounds = [[0.0; 3], [8.0; 3]];
+    let bounds = [[0.0; 3], [1024.0, 1024.0, 8.0]];
     for order in ORDERS {
-        let (normal, origin) = ([6.1e-17, -1.2e-16, 1.0], [100.0, -70.0, -10.0]);
+        let (normal, origin) = ([6.1e-17, -1.2e-16, 1.0], [512.0, 512.0, -10.0]);
         let list = slice(&Case { normal, origin, distance: 0.25, bounds }, &[bounds], order);
         assert_eq!((list.num_polygons(), list.positions().len()), (32, 128));
         assert_eq!(list.slices().iter().min(), Some(&40));
-        let is_corner = |p: &[f32; 3]| [0, 1].iter().all(|&a| p[a] == 0.0 || p[a] == 8.0);
+        let is_corner = |p: &[f32; 3]| [0, 1].iter().all(|&a| p[a] == 0.0 || p[a] == 1024.0);
         assert!(list.positions().iter().all(is_corner));
     }
 }
