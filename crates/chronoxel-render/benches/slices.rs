@@ -27,7 +27,7 @@ fn slices(c: &mut Criterion) {
     {
         let camera =
             Camera::orbit(grid.bounds(), azimuth, elevation, 1.0, Some(30.0), 1.0).expect("a camera");
-        for distance in [0.5, 1.0, 4.0] {
+        for distance in [0.5, 1.0, 2.0, 4.0] {
             let order = SliceOrder::BackToFront;
             let slicer = Slicer::of_camera_in_voxels(&camera, &grid, distance, order).expect("a slicer");
             let mut list = SliceList::default();
