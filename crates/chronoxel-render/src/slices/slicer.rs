@@ -197,7 +197,7 @@ impl Slicer {
                 SliceOrder::BackToFront => (1 - to).max(slices.start)..1 - from,
             };
             if !run.is_empty() {
-                self.write_run(&active, &lines, run, list);
+                self.write_run(cut, &active, &lines, run, list);
             }
         }
     }
@@ -219,23 +219,24 @@ impl Slicer {
 
     #[inline]
     fn line_of(&self, cut: &BoxToCut, edge: Edge) -> EdgeLine {
-        let corner = self.corners[usize::from(edge.corner)];
         let axis = self.axes[usize::from(edge.axis)];
-        let [u, v] = OTHER_AXES[axis];
-        let depth = cut.terms[corner[u]][u] + cut.terms[corner[v]][v];
+        let term = |i: usize| cut.terms[i][usize::from(edge.corner >> i & 1)];
+        let depth = match edge.axis {
+            0 => term(1) + term(2),
+            1 => term(2) + term(0),
+            _ => term(0) + term(1),
+        };
         EdgeLine {
-            corner: std::array::from_fn(|a| cut.bounds[corner[a]][a] as f32),
-            axis,
             at_origin: self.origin[axis] - depth * self.per_depth[axis],
-            slope: self.slopes[axis],
-            low: cut.bounds[0][axis],
-            high: cut.bounds[1][axis],
+            corner: cut.vertices[usize::from(edge.corner)],
+            axis: axis as u32,
         }
     }
 
     /// Writes slices that cross the same edges.
     fn write_run(
         &self,
+        cut: &BoxToCut,
         active: &ActiveEdges,
         lines: &[EdgeLine; MAX_EDGES],
         run: Range<i32>,
@@ -251,10 +252,10 @@ impl Slicer {
         let slices = &list.slices[list.slices.len() - num_slices..];
         let positions = &mut list.positions[first..];
         match active.len() {
-            3 => write_polygons::<3>(active, lines, slices, positions),
-            4 => write_polygons::<4>(active, lines, slices, positions),
-            5 => write_polygons::<5>(active, lines, slices, positions),
-            _ => write_polygons::<6>(active, lines, slices, positions),
+            3 => write_polygons::<3>(cut, active, lines, slices, positions),
+            4 => write_polygons::<4>(cut, active, lines, slices, positions),
+            5 => write_polygons::<5>(cut, active, lines, slices, positions),
+            _ => write_polygons::<6>(cut, active, lines, slices, positions),
         }
     }
 }
@@ -266,16 +267,22 @@ fn corner_of(number: usize, axes: [usize; 3], is_high: [bool; 3]) -> [usize; 3] 
     corner
 }
 
-/// For each axis, the two others, lower first.
-const OTHER_AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
-
-/// A box, and the depths of its corners.
+/// A box, and what its slices have in common.
 struct BoxToCut {
-    bounds: [[f64; 3]; 2],
-    /// What each face adds to the depth of its corners.
-    terms: [[f64; 3]; 2],
-    /// By the numbers of [`ActiveEdges`].
+    /// What each face adds to the depth of its corners: for each axis of [`ActiveEdges`], that of the first corner, and
+    /// the other.
+    terms: [[f64; 2]; 3],
+    /// Depths and places of the corners, by the numbers of [`ActiveEdges`].
     depths: [f64; 8],
+    vertices: [[f32; 3]; 8],
+    axes: [EdgeAxis; 3],
+}
+
+/// What edges along an axis have in common.
+struct EdgeAxis {
+    slope: f64,
+    low: f64,
+    high: f64,
 }
 
 impl BoxToCut {
@@ -283,22 +290,31 @@ impl BoxToCut {
     /// order two ends of an edge wrongly: sums grow with their terms.
     #[inline]
     fn new(slicer: &Slicer, bounds: [[f64; 3]; 2]) -> Self {
-        let terms =
+        let terms: [[f64; 3]; 2] =
             bounds.map(|face| std::array::from_fn(|a| slicer.normal[a] * (face[a] - slicer.origin[a])));
-        let depth = |[x, y, z]: [usize; 3]| terms[x][0] + terms[y][1] + terms[z][2];
-        Self { bounds, terms, depths: slicer.corners.map(depth) }
+        let rounded = bounds.map(|face| face.map(|c| c as f32));
+        let is_high = slicer.corners[0];
+        Self {
+            terms: slicer.axes.map(|a| [terms[is_high[a] & 1][a], terms[1 - (is_high[a] & 1)][a]]),
+            depths: slicer.corners.map(|[x, y, z]| terms[x & 1][0] + terms[y & 1][1] + terms[z & 1][2]),
+            vertices: slicer
+                .corners
+                .map(|[x, y, z]| [rounded[x & 1][0], rounded[y & 1][1], rounded[z & 1][2]]),
+            axes: std::array::from_fn(|a| EdgeAxis {
+                slope: slicer.slopes[a],
+                low: bounds[0][a],
+                high: bounds[1][a],
+            }),
+        }
     }
 }
 
 /// Where the planes cross an edge: at `at_origin + k · slope` along its axis.
 #[derive(Debug, Clone, Copy, Default)]
 struct EdgeLine {
-    corner: [f32; 3],
-    axis: usize,
     at_origin: f64,
-    slope: f64,
-    low: f64,
-    high: f64,
+    corner: [f32; 3],
+    axis: u32,
 }
 
 /// Sorts the keys between the first and the last, which are the least and the greatest, by a network of comparisons.
@@ -315,6 +331,7 @@ fn sorted_between(mut keys: [i64; 8]) -> [i64; 8] {
 /// Writes the polygons of slices that cross the same `N` edges.
 #[inline]
 fn write_polygons<const N: usize>(
+    cut: &BoxToCut,
     active: &ActiveEdges,
     lines: &[EdgeLine; MAX_EDGES],
     slices: &[i32],
@@ -325,12 +342,14 @@ fn write_polygons<const N: usize>(
     let (polygons, _) = positions.as_chunks_mut::<N>();
     for (polygon, &slice) in polygons.iter_mut().zip(slices) {
         for (vertex, line) in polygon.iter_mut().zip(&ring) {
-            let place = line.at_origin + f64::from(slice) * line.slope;
+            let axis = line.axis as usize;
+            let EdgeAxis { slope, low, high } = cut.axes[axis];
+            let place = line.at_origin + f64::from(slice) * slope;
             // Both are one instruction, which `max` and `min` are not for the sake of numbers that cannot be here.
-            let place = if place > line.low { place } else { line.low };
-            let place = if place < line.high { place } else { line.high };
+            let place = if place > low { place } else { low };
+            let place = if place < high { place } else { high };
             *vertex = line.corner;
-            vertex[line.axis] = place as f32;
+            vertex[axis] = place as f32;
         }
     }
 }
