@@ -39,9 +39,9 @@
 //! single precision once. `at_origin` depends on the line of the edge and not on its ends: boxes that share the line
 //! have the same vertex, to the bit, also where their levels differ. (Where four small faces meet one large face,
 //! vertices of the small ones still lie within the large one's edges, as anywhere between levels.) The paper adds the
-//! slope from slice to slice instead. That is no faster, as measured: a product is hidden behind the stores, and a sum has to
-//! wait for the one before. And it drifts: over 110 slices of a brick in single precision, by 5e-5 voxels; in double
-//! precision by too little to be seen, but no two boxes agree about the last bit of a vertex that they share.
+//! slope from slice to slice instead. That is no faster, as measured: a product is hidden behind the stores, and a sum
+//! has to wait for the one before. And it drifts: over 110 slices of a brick in single precision, by 5e-5 voxels; in
+//! double precision by too little to be seen, but boxes that share a vertex no longer agree about its last bits.
 //!
 //! # Pictures
 //!
