@@ -10,6 +10,7 @@ pub mod gpu;
 pub mod prepared;
 pub mod reference;
 pub mod scene;
+pub mod slices;
 
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
@@ -20,3 +21,4 @@ pub use gpu::{
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};
 pub use scene::{DrawBrick, DrawHow, RenderStats, Scene};
+pub use slices::{SliceList, SliceOrder, Slicer};
