@@ -300,3 +300,44 @@ pub(super) fn limits_of(
     }
     Ok(limits)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_that_are_too_small_are_refused() {
+        let guaranteed = wgpu::Limits::default();
+        assert_eq!(limits_of("any", guaranteed.clone(), false), Ok(guaranteed.clone()));
+        let small = wgpu::Limits { max_texture_dimension_3d: 256, ..guaranteed.clone() };
+        let refused = limits_of("an old card", small, false).unwrap_err();
+        let expected = "an old card has a max_texture_dimension_3d of 256, but 2048 is needed: draw on another \
+                        adapter or on the CPU";
+        assert_eq!(refused.to_string(), expected);
+        for small in [
+            wgpu::Limits { max_buffer_size: 1 << 20, ..guaranteed.clone() },
+            wgpu::Limits { max_storage_buffer_binding_size: 1 << 20, ..guaranteed.clone() },
+            wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..guaranteed.clone() },
+        ] {
+            assert!(matches!(limits_of("a", small, true), Err(GpuError::LimitTooSmall { .. })));
+        }
+    }
+
+    #[test]
+    fn more_is_used_where_it_is_offered() {
+        let offered = wgpu::Limits { max_buffer_size: 1 << 30, ..Default::default() };
+        assert_eq!(limits_of("a", offered.clone(), false).unwrap().max_buffer_size, 1 << 30);
+        assert_eq!(limits_of("a", offered, true), Ok(wgpu::Limits::default()));
+    }
+
+    #[test]
+    fn shaders_that_are_refused_are_reported() {
+        let Some(device) = crate::gpu::twins::device() else { return };
+        let layout = device.bind_group_layout("none", &[]);
+        let refused = device.pipeline("broken.wgsl", "fn main() { let x = ; }", &layout, &[]).unwrap_err();
+        let message = refused.to_string();
+        assert!(message.contains("broken.wgsl") && message.contains(&device.info.name), "{message}");
+        assert!(!message.contains('\n') && message.contains("draw on the CPU"), "{message}");
+        device.check().unwrap();
+    }
+}

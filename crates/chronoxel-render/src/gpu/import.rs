@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 
 /// Files that others import, by the name in quotes after `#import`.
-const SHARED: &[(&str, &str)] = &[
+pub(super) const SHARED: &[(&str, &str)] = &[
+    ("shared/classification.wgsl", include_str!("shaders/shared/classification.wgsl")),
     ("shared/compositing.wgsl", include_str!("shaders/shared/compositing.wgsl")),
     ("shared/decode.wgsl", include_str!("shaders/shared/decode.wgsl")),
     ("shared/lighting.wgsl", include_str!("shaders/shared/lighting.wgsl")),

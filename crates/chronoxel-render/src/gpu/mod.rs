@@ -18,7 +18,11 @@ mod page_table;
 mod pool;
 mod portion;
 mod raycast;
+#[cfg(test)]
+mod shader_tests;
 mod timing;
+#[cfg(test)]
+mod twins;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -188,6 +192,14 @@ impl GpuRenderer {
     /// [`GpuError`] if the scene or a brick cannot be drawn, the memory is too small, or the device is lost: then
     /// make another renderer.
     pub fn draw(&mut self, scene: &Scene, bricks: &[GpuBrick]) -> Result<(Image, GpuStats), GpuError> {
+        let drawn = self.try_draw(scene, bricks);
+        if drawn.is_err() {
+            self.residency.forget();
+        }
+        drawn
+    }
+
+    fn try_draw(&mut self, scene: &Scene, bricks: &[GpuBrick]) -> Result<(Image, GpuStats), GpuError> {
         let start = Instant::now();
         self.device.check()?;
         scene.check()?;
@@ -246,5 +258,42 @@ impl GpuRenderer {
         stats.gpu_bytes = self.device.budget.used();
         stats.gpu_bytes_peak = self.device.budget.peak();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use chronoxel_core::{BrickLayout, Camera, ColorMap, TransferFunction, UniformGrid};
+
+    use super::*;
+
+    #[test]
+    fn a_lost_device_is_reported() {
+        if twins::device().is_none() {
+            return;
+        }
+        let mut gpu = GpuRenderer::new(&GpuOptions { memory_bytes: 16 << 20, ..Default::default() }).unwrap();
+        let grid = UniformGrid::new([20; 3], [0.0; 3], [1.0; 3]).unwrap();
+        let scene = Scene {
+            grid,
+            layout: BrickLayout::new(8).unwrap(),
+            camera: Camera::orbit(grid.bounds(), 0.0, 0.0, 1.0, None, 1.0).unwrap(),
+            transfer: TransferFunction::built_in("ramp", ColorMap::Viridis)
+                .unwrap()
+                .resolve([0.0, 1.0])
+                .unwrap(),
+            size: [16, 16],
+            step_voxels: 1.0,
+            finest_level: 0,
+            lighting: None,
+            opacity_unit: 1.0,
+        };
+        gpu.draw(&scene, &[]).unwrap();
+        gpu.device.raw.destroy();
+        // At once or at the next picture, as the driver tells it.
+        let refused = gpu.draw(&scene, &[]).and_then(|_| gpu.draw(&scene, &[])).unwrap_err();
+        let message = refused.to_string();
+        assert!(matches!(refused, GpuError::Lost { .. }), "{message}");
+        assert!(message.contains("new device") && !message.contains('\n'), "{message}");
     }
 }

@@ -91,6 +91,13 @@ struct Slots {
     submitted: u64,
 }
 
+impl Slots {
+    /// What is said of the samples in a slot.
+    fn samples(&self, slot: u32, range: ValueRange) -> Samples {
+        Samples { slot, payload: 0, step: 0, mask: slot * self.pool.mask_words, range }
+    }
+}
+
 /// What became of a brick of the list.
 enum Placed {
     Content(CellBox, Content),
@@ -103,7 +110,9 @@ enum Placed {
 /// Where the samples of a brick are.
 struct Samples {
     slot: u32,
+    /// Where it is decoded at each fetch: the first word of its payload, and its step.
     payload: u32,
+    step: u32,
     /// The first word of the mask, if there is one.
     mask: u32,
     range: ValueRange,
@@ -117,8 +126,14 @@ impl Residency {
         Self { options: options.clone(), here: None, now: 0 }
     }
 
+    /// Forgets what is resident: after a list that could not be drawn, slots may have been taken and not decoded.
+    pub fn forget(&mut self) {
+        self.here = None;
+    }
+
     pub fn num_slots(&self) -> usize {
-        self.here.as_ref().map_or(0, |here| here.slots().pool.shape.num_slots() as usize)
+        let slots = self.here.as_ref().and_then(|here| here.slots.as_ref());
+        slots.map_or(0, |slots| slots.pool.shape.num_slots() as usize)
     }
 
     /// What the ray caster reads: the pool and, where it decodes at each fetch, the bank.
@@ -334,7 +349,7 @@ impl Here {
         if way == Way::Pool
             && let Some((slot, range)) = self.slots_mut().pool.find(key, step, now)
         {
-            let samples = Samples { slot, payload: 0, mask: slot * self.slots().pool.mask_words, range };
+            let samples = self.slots().samples(slot, range);
             return Ok(if is_seen(range) { Ok(samples) } else { Err(Placed::Nothing) });
         }
         check_step(&coded.payload, step)?;
@@ -345,10 +360,11 @@ impl Here {
         if !is_seen(place.range) {
             return Ok(Err(Placed::Nothing));
         }
-        let (payload, range) = (place.word, place.range);
+        let range = place.range;
         if way == Way::Fetch {
+            let payload = place.word;
             let mask = place.word + place.num_words - self.layout.num_full().div_ceil(32) as u32;
-            return Ok(Ok(Samples { slot: 0, payload, mask, range }));
+            return Ok(Ok(Samples { slot: 0, payload, step, mask, range }));
         }
         let layout = self.layout;
         let Slots { pool, decoder, .. } = self.slots_mut();
@@ -360,7 +376,7 @@ impl Here {
         if let (true, Some(mask)) = (is_new, &coded.mask) {
             pool.upload_mask(device, slot, &mask_words(mask, &layout)?);
         }
-        Ok(Ok(Samples { slot, payload, mask: slot * pool.mask_words, range }))
+        Ok(Ok(self.slots().samples(slot, range)))
     }
 
     /// Where a payload is, which is uploaded if need be; `None` where there is no room for it until what was used since
@@ -449,7 +465,7 @@ fn brick_of(
         index_from_texel: [0.0; 2],
         mask,
         payload: samples.payload,
-        step: coded.step_in_span,
+        step: samples.step,
         padding: [0; 3],
     }
 }

@@ -12,21 +12,26 @@ fn index_of(first_word: u32, bits: u32, sample: u32) -> u32 {
     return (bank[first_word + (sample >> 1u)] >> (16u * (sample & 1u))) & 0xffffu;
 }
 
+// What a stage adds to a sample.
+//
+// stage: the first word of its description
+fn stage_value(payload: u32, stage: u32, step: u32, sample: u32) -> f32 {
+    let num_entries = bank[stage + 3u];
+    var entry = index_of(payload + bank[stage], bank[stage + 1u], sample);
+    if num_entries > 0u {
+        let row = step >> min(bank[stage + 4u], 31u);
+        entry = index_of(payload + bank[stage + 2u], 16u, row * num_entries + entry);
+    }
+    return bitcast<f32>(bank[stage + 6u]) + bitcast<f32>(bank[stage + 5u]) * f32(entry);
+}
+
 // The sum of the stages, from 0 at the payload's least value to 1 at its largest.
 //
 // payload: its first word in the bank
 fn decode_unit(payload: u32, step: u32, sample: u32) -> f32 {
-    let num_stages = bank[payload];
-    var sum = 0.0;
-    for (var i = 0u; i < num_stages; i++) {
-        let stage = payload + 1u + i * STAGE_WORDS;
-        let num_entries = bank[stage + 3u];
-        var entry = index_of(payload + bank[stage], bank[stage + 1u], sample);
-        if num_entries > 0u {
-            let row = step >> min(bank[stage + 4u], 31u);
-            entry = index_of(payload + bank[stage + 2u], 16u, row * num_entries + entry);
-        }
-        sum += bitcast<f32>(bank[stage + 6u]) + bitcast<f32>(bank[stage + 5u]) * f32(entry);
+    var sum = stage_value(payload, payload + 1u, step, sample);
+    for (var i = 1u; i < bank[payload]; i++) {
+        sum += stage_value(payload, payload + 1u + i * STAGE_WORDS, step, sample);
     }
     return clamp(sum, 0.0, 1.0);
 }
