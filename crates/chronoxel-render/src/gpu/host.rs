@@ -14,7 +14,7 @@ pub(super) struct LightingData {
     pub specular_power: u32,
 }
 
-/// `View` of `raycast.wgsl`.
+/// `View` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct ViewData {
@@ -41,7 +41,7 @@ pub(super) struct ViewData {
     pub lighting: LightingData,
 }
 
-/// `Brick` of `raycast.wgsl`.
+/// `Brick` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct BrickData {
@@ -56,10 +56,10 @@ pub(super) struct BrickData {
     pub padding: [u32; 3],
 }
 
-/// `NO_MASK` of `raycast.wgsl`.
+/// `NO_MASK` of `shared/sampling.wgsl`.
 pub(super) const NO_MASK: u32 = u32::MAX;
 
-/// `Constant` of `raycast.wgsl`.
+/// `Constant` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct ConstantData {

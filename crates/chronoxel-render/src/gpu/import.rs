@@ -9,6 +9,7 @@ pub(super) const SHARED: &[(&str, &str)] = &[
     ("shared/decode.wgsl", include_str!("shaders/shared/decode.wgsl")),
     ("shared/lighting.wgsl", include_str!("shaders/shared/lighting.wgsl")),
     ("shared/locate.wgsl", include_str!("shaders/shared/locate.wgsl")),
+    ("shared/sampling.wgsl", include_str!("shaders/shared/sampling.wgsl")),
 ];
 
 /// Decodes slots.
