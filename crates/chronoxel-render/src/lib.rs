@@ -10,13 +10,16 @@ pub mod gpu;
 pub mod prepared;
 pub mod reference;
 pub mod scene;
+pub mod slices;
 
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
 #[cfg(feature = "gpu")]
 pub use gpu::{
-    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuRenderer, GpuStats, Interpolation, Way,
+    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuRenderer, GpuStats, Interpolation,
+    Method, Way,
 };
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};
 pub use scene::{DrawBrick, DrawHow, RenderStats, Scene};
+pub use slices::{SliceList, SliceOrder, Slicer};

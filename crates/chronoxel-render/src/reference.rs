@@ -38,6 +38,15 @@ pub fn render_reference_with(
     field: &DenseField,
     bricks: &[DrawBrick],
 ) -> Result<Image, RenderError> {
+    draw(scene, field, |ray| march(scene, field, bricks, ray))
+}
+
+/// The picture of a field, given what is seen along a ray.
+pub(crate) fn draw(
+    scene: &Scene,
+    field: &DenseField,
+    seen: impl Fn(&Ray) -> [f64; 4],
+) -> Result<Image, RenderError> {
     scene.check()?;
     let num_samples = scene.grid.num_samples();
     if field.samples.len() != num_samples || field.mask.is_some_and(|m| m.len() != num_samples) {
@@ -48,33 +57,58 @@ pub fn render_reference_with(
     let mut image = Image::new(width, height)?;
     for (i, pixel) in image.pixels.iter_mut().enumerate() {
         let centre = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
-        *pixel = march(scene, field, bricks, &scene.camera.ray(centre, scene.size)).map(|c| c as f32);
+        *pixel = seen(&scene.camera.ray(centre, scene.size)).map(|c| c as f32);
     }
     Ok(image)
 }
 
 fn march(scene: &Scene, field: &DenseField, bricks: &[DrawBrick], ray: &Ray) -> [f64; 4] {
-    let mut pixel = [0.0; 4];
-    let Some([entry, exit]) = clip_to_box(ray, scene.grid.bounds()) else { return pixel };
+    let Some([entry, exit]) = clip_to_box(ray, scene.grid.bounds()) else { return [0.0; 4] };
     let dt = scene.step_length_at(scene.finest_level);
     let num_samples = ((exit - entry) / dt).round() as usize;
-    for k in 0..num_samples {
-        let t = entry + (k as f64 + 0.5) * dt;
+    let lengths = (0..num_samples).map(|k| entry + (k as f64 + 0.5) * dt);
+    composite(scene, field, bricks, ray, lengths, dt)
+}
+
+/// What samples at lengths along a ray add up to, each standing for `dt` of it.
+pub(crate) fn composite(
+    scene: &Scene,
+    field: &DenseField,
+    bricks: &[DrawBrick],
+    ray: &Ray,
+    lengths: impl Iterator<Item = f64>,
+    dt: f64,
+) -> [f64; 4] {
+    let mut pixel = [0.0; 4];
+    for t in lengths {
         let world = std::array::from_fn(|a| ray.origin[a] + t * ray.direction[a]);
         let voxel = scene.grid.voxel_from_world(world);
-        let unlit = |color| Some((color, (1.0, 0.0)));
-        let seen = match bricks.iter().find(|brick| owns(scene, brick, voxel)).map(|brick| &brick.how) {
-            Some(DrawHow::Skip) => None,
-            Some(DrawHow::Constant(value)) => unlit(scene.transfer.evaluate(*value)),
-            Some(DrawHow::ConstantColor([r, g, b], opacity)) => unlit([*r, *g, *b, *opacity].map(f64::from)),
-            Some(DrawHow::Samples(_) | DrawHow::Partial(_)) | None => sample(scene, field, voxel, ray),
+        let Some(([r, g, b, opacity], (scattered, highlight))) = seen_at(scene, field, bricks, ray, voxel)
+        else {
+            continue;
         };
-        let Some(([r, g, b, opacity], (scattered, highlight))) = seen else { continue };
         let alpha = compositing::correct_opacity(opacity, dt, scene.opacity_unit);
         let lit = |c: f64| alpha * (c * scattered + highlight);
         compositing::accumulate(&mut pixel, [lit(r), lit(g), lit(b), alpha]);
     }
     pixel
+}
+
+/// Colour, opacity per unit and lighting at a place, by the draw list or else the field; `None` where nothing is seen.
+fn seen_at(
+    scene: &Scene,
+    field: &DenseField,
+    bricks: &[DrawBrick],
+    ray: &Ray,
+    voxel: [f64; 3],
+) -> Option<([f64; 4], (f64, f64))> {
+    let unlit = |color| Some((color, (1.0, 0.0)));
+    match bricks.iter().find(|brick| owns(scene, brick, voxel)).map(|brick| &brick.how) {
+        Some(DrawHow::Skip) => None,
+        Some(DrawHow::Constant(value)) => unlit(scene.transfer.evaluate(*value)),
+        Some(DrawHow::ConstantColor([r, g, b], opacity)) => unlit([*r, *g, *b, *opacity].map(f64::from)),
+        Some(DrawHow::Samples(_) | DrawHow::Partial(_)) | None => sample(scene, field, voxel, ray),
+    }
 }
 
 /// Whether a place lies in a brick's box, which is open at the grid's faces.

@@ -22,6 +22,8 @@ pub struct GpuInfo {
     pub is_software: bool,
     /// Whether the pool holds 16-bit fractions, of which WebGPU does not guarantee the format, in place of 16-bit floats.
     pub has_unorm: bool,
+    /// Whether slices are blended in 32-bit floats, which WebGPU does not guarantee, in place of 16-bit ones.
+    pub has_blendable_floats: bool,
     /// Whether times are measured on the GPU; else they are those of the host.
     pub has_timestamps: bool,
 }
@@ -221,7 +223,11 @@ pub(super) fn find(options: &GpuOptions) -> Result<GpuInfo, GpuError> {
 fn wanted_features(options: &GpuOptions) -> wgpu::Features {
     match options.guaranteed_only {
         true => wgpu::Features::empty(),
-        false => wgpu::Features::TEXTURE_FORMAT_16BIT_NORM | wgpu::Features::TIMESTAMP_QUERY,
+        false => {
+            wgpu::Features::TEXTURE_FORMAT_16BIT_NORM
+                | wgpu::Features::TIMESTAMP_QUERY
+                | wgpu::Features::FLOAT32_BLENDABLE
+        }
     }
 }
 
@@ -261,6 +267,7 @@ fn info_of(info: &wgpu::AdapterInfo, features: wgpu::Features) -> GpuInfo {
         },
         is_software: info.device_type == wgpu::DeviceType::Cpu,
         has_unorm: features.contains(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM),
+        has_blendable_floats: features.contains(wgpu::Features::FLOAT32_BLENDABLE),
         has_timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
     }
 }

@@ -14,7 +14,7 @@ pub(super) struct LightingData {
     pub specular_power: u32,
 }
 
-/// `View` of `raycast.wgsl`.
+/// `View` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct ViewData {
@@ -41,7 +41,7 @@ pub(super) struct ViewData {
     pub lighting: LightingData,
 }
 
-/// `Brick` of `raycast.wgsl`.
+/// `Brick` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct BrickData {
@@ -56,10 +56,10 @@ pub(super) struct BrickData {
     pub padding: [u32; 3],
 }
 
-/// `NO_MASK` of `raycast.wgsl`.
+/// `NO_MASK` of `shared/sampling.wgsl`.
 pub(super) const NO_MASK: u32 = u32::MAX;
 
-/// `Constant` of `raycast.wgsl`.
+/// `Constant` of `shared/sampling.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct ConstantData {
@@ -105,3 +105,32 @@ pub(super) struct StageData {
     pub offset: f32,
     pub padding: u32,
 }
+
+/// `Planes` of `slices.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct PlanesData {
+    pub column: [f32; 3],
+    pub column_offset: f32,
+    pub row: [f32; 3],
+    pub row_offset: f32,
+    pub column_per_depth: f32,
+    pub row_per_depth: f32,
+    pub start: f32,
+    pub is_perspective: u32,
+}
+
+/// What `place_vertex` of `slices.wgsl` is given.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct VertexData {
+    /// Voxels of level 0.
+    pub position: [f32; 3],
+    /// Of its plane, in step lengths behind where rays start.
+    pub depth: f32,
+    /// What its polygon holds: the number of a brick, or of a constant.
+    pub content: u32,
+}
+
+/// `CONSTANT` of `slices.wgsl`.
+pub(super) const CONSTANT: u32 = 1 << 31;

@@ -9,12 +9,16 @@ pub(super) const SHARED: &[(&str, &str)] = &[
     ("shared/decode.wgsl", include_str!("shaders/shared/decode.wgsl")),
     ("shared/lighting.wgsl", include_str!("shaders/shared/lighting.wgsl")),
     ("shared/locate.wgsl", include_str!("shaders/shared/locate.wgsl")),
+    ("shared/opacity.wgsl", include_str!("shaders/shared/opacity.wgsl")),
+    ("shared/sampling.wgsl", include_str!("shaders/shared/sampling.wgsl")),
 ];
 
 /// Decodes slots.
 pub(super) const DECODE: &str = include_str!("shaders/decode.wgsl");
 /// Casts rays.
 pub(super) const RAYCAST: &str = include_str!("shaders/raycast.wgsl");
+/// Draws slices.
+pub(super) const SLICES: &str = include_str!("shaders/slices.wgsl");
 
 /// A shader with each line `#import "file"` replaced by the file, which imports nothing itself.
 ///

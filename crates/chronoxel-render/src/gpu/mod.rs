@@ -20,6 +20,8 @@ mod portion;
 mod raycast;
 #[cfg(test)]
 mod shader_tests;
+mod slicing;
+mod target;
 mod timing;
 #[cfg(test)]
 mod twins;
@@ -36,6 +38,7 @@ pub use device::GpuInfo;
 pub use error::GpuError;
 use portion::{Colors, Residency};
 use raycast::{Caster, How};
+use slicing::Slicing;
 use timing::Timer;
 
 /// How the GPU is used.
@@ -47,6 +50,8 @@ pub struct GpuOptions {
     pub adapter: Option<String>,
     /// Use no more than WebGPU guarantees everywhere.
     pub guaranteed_only: bool,
+    /// What is drawn of bricks.
+    pub method: Method,
     /// When payloads are decoded.
     pub way: Way,
     /// What is interpolated.
@@ -59,10 +64,21 @@ impl Default for GpuOptions {
             memory_bytes: 1 << 30,
             adapter: None,
             guaranteed_only: false,
+            method: Method::default(),
             way: Way::default(),
             interpolation: Interpolation::default(),
         }
     }
+}
+
+/// What is drawn of bricks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// Samples along rays, front to back.
+    #[default]
+    Raycast,
+    /// Polygons across the direction of view, blended back to front, see [`slices`](mod@crate::slices).
+    Slices,
 }
 
 /// When payloads are decoded.
@@ -155,12 +171,55 @@ pub struct GpuStats {
     pub wall_ms: f64,
 }
 
+/// What draws, by the method.
+#[derive(Debug)]
+enum Drawing {
+    Raycast(Caster),
+    Slices(Slicing),
+}
+
+impl Drawing {
+    fn new(device: &Device, options: &GpuOptions) -> Result<Self, GpuError> {
+        let (lists_bytes, colors_bytes) = (options.memory_bytes / 8, options.memory_bytes / 16);
+        Ok(match options.method {
+            Method::Raycast => Self::Raycast(Caster::new(device, lists_bytes, colors_bytes)?),
+            Method::Slices => Self::Slices(Slicing::new(device, lists_bytes, colors_bytes)?),
+        })
+    }
+
+    fn set_colors(&mut self, device: &Device, colors: &[u32]) -> Result<(), GpuError> {
+        match self {
+            Self::Raycast(caster) => caster.set_colors(device, colors),
+            Self::Slices(slicing) => slicing.set_colors(device, colors),
+        }
+    }
+
+    fn hold_picture(
+        &mut self,
+        device: &Device,
+        size: [usize; 2],
+        most_bytes: u64,
+    ) -> Result<usize, GpuError> {
+        match self {
+            Self::Raycast(caster) => caster.hold_picture(device, size, most_bytes),
+            Self::Slices(slicing) => slicing.hold_picture(device, size, most_bytes),
+        }
+    }
+
+    fn read_rows(&self, device: &Device, num: usize, pixels: &mut Vec<[f32; 4]>) -> Result<(), GpuError> {
+        match self {
+            Self::Raycast(caster) => caster.read_rows(device, num, pixels),
+            Self::Slices(slicing) => slicing.read_rows(device, num, pixels),
+        }
+    }
+}
+
 /// A renderer on one adapter, and what is resident there.
 #[derive(Debug)]
 pub struct GpuRenderer {
     options: GpuOptions,
     residency: Residency,
-    caster: Caster,
+    drawing: Drawing,
     colors: Colors,
     timer: Timer,
     device: Device,
@@ -174,9 +233,9 @@ impl GpuRenderer {
     pub fn new(options: &GpuOptions) -> Result<Self, GpuError> {
         let device = Device::new(options)?;
         let timer = Timer::new(&device)?;
-        let caster = Caster::new(&device, options.memory_bytes / 8, options.memory_bytes / 16)?;
+        let drawing = Drawing::new(&device, options)?;
         let residency = Residency::new(options);
-        Ok(Self { options: options.clone(), residency, caster, colors: Colors::default(), timer, device })
+        Ok(Self { options: options.clone(), residency, drawing, colors: Colors::default(), timer, device })
     }
 
     /// The adapter that [`Self::new`] would draw on.
@@ -213,22 +272,33 @@ impl GpuRenderer {
         scene.check()?;
         let mut stats = GpuStats::default();
         self.colors.set(scene, bricks)?;
-        self.caster.set_colors(&self.device, &self.colors.words)?;
+        self.drawing.set_colors(&self.device, &self.colors.words)?;
         let most_bytes = self.options.memory_bytes / 4;
-        let rows = self.caster.hold_picture(&self.device, scene.size, most_bytes)?;
+        let rows = self.drawing.hold_picture(&self.device, scene.size, most_bytes)?;
         self.residency.hold(&self.device, scene, bricks)?;
+        // Rays gather from front to back, slices are laid over each other from back to front.
+        let reversed: Vec<GpuBrick>;
+        let bricks = match self.options.method {
+            Method::Raycast => bricks,
+            Method::Slices => {
+                reversed = bricks.iter().rev().cloned().collect();
+                &reversed
+            }
+        };
         let [width, height] = scene.size;
         let mut image = Image { width, height, pixels: Vec::with_capacity(width * height) };
         for first_row in (0..height).step_by(rows) {
             let num_rows = rows.min(height - first_row);
             self.draw_rows(scene, bricks, [first_row, num_rows], &mut stats)?;
-            self.caster.read_rows(&self.device, num_rows, &mut image.pixels)?;
+            self.drawing.read_rows(&self.device, num_rows, &mut image.pixels)?;
         }
         self.finish(&mut stats, start)?;
         Ok((image, stats))
     }
 
     /// Draws rows of the picture, in as many portions as it takes.
+    ///
+    /// * `bricks`: in the order in which they are drawn
     fn draw_rows(
         &mut self,
         scene: &Scene,
@@ -239,6 +309,7 @@ impl GpuRenderer {
         let how = How { way: self.options.way, interpolation: self.options.interpolation };
         let (mut drawn, mut is_first) = (0, true);
         while is_first || drawn < bricks.len() {
+            let before = drawn;
             let (device, timer, mut found) = (&self.device, &mut self.timer, GpuStats::default());
             let portion =
                 self.residency.gather(device, scene, bricks, &mut drawn, &self.colors, timer, &mut found)?;
@@ -250,7 +321,15 @@ impl GpuRenderer {
                 stats.bricks_skipped += found.bricks_skipped;
             }
             let (pool, bank) = self.residency.resources();
-            self.caster.draw(device, scene, how, &portion, rows, is_first, pool, bank, timer)?;
+            match &mut self.drawing {
+                Drawing::Raycast(caster) => {
+                    caster.draw(device, scene, how, &portion, rows, is_first, pool, bank, timer)?;
+                }
+                Drawing::Slices(slicing) => {
+                    let bricks = &bricks[before..drawn];
+                    slicing.draw(device, scene, how, &portion, bricks, rows, is_first, pool, bank, timer)?;
+                }
+            }
             stats.num_portions += 1;
             is_first = false;
         }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
-use chronoxel_core::{Projection, UniformGrid};
+use chronoxel_core::{PictureRays, Projection, UniformGrid};
 
 use super::device::{Device, storage, uniform};
 use super::host::{BrickData, ConstantData, LightingData, ViewData};
@@ -249,18 +249,23 @@ pub(super) fn cells_of(grid: &UniformGrid, edge: usize) -> [u32; 3] {
     grid.dims.map(|n| (n - 1).div_ceil(edge).max(1) as u32)
 }
 
-/// What a picture's rays have in common.
-///
-/// They start on the plane before the grid that is nearest to it, so that places are as exact as near the camera.
-fn view_of(scene: &Scene, [first_row, num_rows]: [usize; 2]) -> ViewData {
-    let (grid, layout) = (&scene.grid, &scene.layout);
-    let rays = scene.camera.rays(scene.size);
+/// The depth of the plane where rays start.
+pub(super) fn start_depth(grid: &UniformGrid, rays: &PictureRays) -> f64 {
     let bounds = grid.bounds();
     let depths = (0..8).map(|corner| {
         let along = |a: usize| (bounds[corner >> a & 1][a] - rays.position[a]) * rays.forward[a];
         (0..3).map(along).sum::<f64>()
     });
-    let depth = depths.fold(f64::INFINITY, f64::min).max(0.0);
+    depths.fold(f64::INFINITY, f64::min).max(0.0)
+}
+
+/// What a picture's rays have in common.
+///
+/// They start on the plane before the grid that is nearest to it, so that places are as exact as near the camera.
+pub(super) fn view_of(scene: &Scene, [first_row, num_rows]: [usize; 2]) -> ViewData {
+    let (grid, layout) = (&scene.grid, &scene.layout);
+    let rays = scene.camera.rays(scene.size);
+    let depth = start_depth(grid, &rays);
     let is_perspective = matches!(scene.camera.projection(), Projection::Perspective { .. });
     let spread = if is_perspective { depth } else { 1.0 };
     let voxels =

@@ -3,8 +3,10 @@
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{Module, TypeInner};
 
-use super::host::{BatchData, BrickData, ConstantData, JobData, LightingData, StageData, ViewData};
-use super::import::{DECODE, RAYCAST, SHARED, with_imports};
+use super::host::{
+    BatchData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
+};
+use super::import::{DECODE, RAYCAST, SHARED, SLICES, with_imports};
 
 #[track_caller]
 fn parsed(name: &str, text: &str) -> Module {
@@ -47,10 +49,12 @@ macro_rules! layout_of {
 fn every_shader_is_valid() {
     parsed("decode.wgsl", &with_imports(DECODE));
     parsed("raycast.wgsl", &with_imports(RAYCAST));
+    parsed("slices.wgsl", &with_imports(SLICES));
     parsed("tests/twins.wgsl", &with_imports(include_str!("shaders/tests/twins.wgsl")));
     let declared = "@group(0) @binding(0) var<storage, read> bank: array<u32>;\n\
                     @group(0) @binding(1) var<storage, read> nodes: array<u32>;\n";
-    for (name, text) in SHARED {
+    // Sampling is valid where what it calls is imported, as above.
+    for (name, text) in SHARED.iter().filter(|(name, _)| *name != "shared/sampling.wgsl") {
         parsed(name, &format!("{declared}{text}"));
     }
 }
@@ -116,6 +120,24 @@ fn structs_are_laid_out_alike() {
         layout_of!(BatchData { full_edge, pairs, slots_along, row_words, first_line, first_job })
     );
     assert_eq!(layout_in(&decode, "Job"), layout_of!(JobData { slot, step }));
+}
+
+#[test]
+fn structs_of_slices_are_laid_out_alike() {
+    let slices = parsed("slices", &with_imports(SLICES));
+    assert_eq!(
+        layout_in(&slices, "Planes"),
+        layout_of!(PlanesData {
+            column,
+            column_offset,
+            row,
+            row_offset,
+            column_per_depth,
+            row_per_depth,
+            start,
+            is_perspective,
+        })
+    );
 }
 
 #[test]

@@ -156,6 +156,8 @@ pub enum Switch {
 pub enum Method {
     /// Rays from the eye through every pixel.
     Raycast,
+    /// Planes across the view, cut into polygons and blended: on the GPU.
+    Slices,
 }
 
 /// What draws.
@@ -234,11 +236,17 @@ impl ViewArgs {
             InterpolationName::Scalar => Interpolation::Scalar,
             InterpolationName::Color => Interpolation::Color,
         };
-        let options = GpuOptions { memory_bytes: self.gpu_memory.0, interpolation, ..GpuOptions::default() };
+        let method = match self.method {
+            Method::Raycast => chronoxel_render::Method::Raycast,
+            Method::Slices => chronoxel_render::Method::Slices,
+        };
+        let options =
+            GpuOptions { memory_bytes: self.gpu_memory.0, method, interpolation, ..GpuOptions::default() };
+        let needs_gpu = self.method == Method::Slices || self.interpolation == InterpolationName::Color;
         let cpu = |reason: String| {
             anyhow::ensure!(
-                interpolation == Interpolation::Scalar,
-                "--interpolation color is for the GPU: add --backend gpu"
+                !needs_gpu,
+                "--method slices and --interpolation color are for the GPU ({reason}): add --backend gpu"
             );
             Ok(ChosenBackend { name: "cpu", adapter: cpu_adapter(), reason })
         };

@@ -4,97 +4,19 @@
 #import "shared/compositing.wgsl"
 #import "shared/locate.wgsl"
 #import "shared/decode.wgsl"
-
-struct View {
-    // Where rays start, level-0 voxels: at the corner of the picture, and from pixel to pixel.
-    start: vec3<f32>,
-    // Voxels of level 0 along an edge of a cell of the page table.
-    cell_edge: f32,
-    start_per_column: vec3<f32>,
-    root_level: u32,
-    start_per_row: vec3<f32>,
-    // The first row of the picture that is drawn.
-    first_row: u32,
-    // Their direction in the world, not of unit length: at the corner, and from pixel to pixel.
-    direction: vec3<f32>,
-    num_columns: u32,
-    direction_per_column: vec3<f32>,
-    num_rows: u32,
-    direction_per_row: vec3<f32>,
-    // Whether nothing was gathered before.
-    is_first: u32,
-    // From a unit vector in the world to the voxels from sample to sample.
-    step_per_direction: vec3<f32>,
-    // Largest place in the cells of a brick, and samples along an edge, apron included.
-    most_place: f32,
-    // The far corner of the grid, voxels.
-    last: vec3<f32>,
-    full_edge: u32,
-    // The number of cells.
-    cells: vec3<i32>,
-    low_apron: u32,
-    // 1 / size of the pool.
-    per_texel: vec3<f32>,
-    padding: u32,
-    lighting: Lighting,
-}
-
-struct Brick {
-    // Of the core's first sample, voxels of the brick's level.
-    origin: vec3<f32>,
-    // 2^-level
-    scale: f32,
-    // Of the core's first sample, in the pool.
-    texel: vec3<f32>,
-    // The first of its level's colours.
-    colors: u32,
-    // Factor and offset from what the pool holds to the index of a colour.
-    index_from_texel: vec2<f32>,
-    // The first word of its mask among the masks, or in the bank where samples are decoded at each fetch; or NO_MASK.
-    mask: u32,
-    // For decoding at each fetch: the first word of its payload in the bank, and the step in its span.
-    payload: u32,
-    step: u32,
-    padding_a: u32,
-    padding_b: u32,
-    padding_c: u32,
-}
-
-struct Constant {
-    // Of one sample, premultiplied.
-    color: vec4<f32>,
-    log_transmittance: f32,
-    // 2^-level of the samples
-    scale: f32,
-    padding_a: u32,
-    padding_b: u32,
-}
+#import "shared/sampling.wgsl"
 
 override LIT: bool;
-// Decode at each fetch, in place of sampling the pool.
-override FETCH: bool;
-// Interpolate colours, after the look-up.
-override INTERPOLATE_COLOR: bool;
 // A ray ends where less than this much of what lies behind would be seen.
 override LEAST_TRANSMITTANCE: f32;
-// The colours of a level.
-override NUM_COLORS: u32;
 
-const NO_MASK: u32 = 0xffffffffu;
 // Beyond every plane; the product of two is finite.
 const FAR: f32 = 1e15;
 
-@group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> nodes: array<u32>;
-@group(0) @binding(2) var<storage, read> bricks: array<Brick>;
-@group(0) @binding(3) var<storage, read> constants: array<Constant>;
-@group(0) @binding(4) var<storage, read> colors: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> masks: array<u32>;
 @group(0) @binding(6) var<storage, read> bank: array<u32>;
 // Red, green and blue multiplied by alpha, and transmittance.
 @group(0) @binding(7) var<storage, read_write> gathered: array<vec4<f32>>;
-@group(0) @binding(8) var pool: texture_3d<f32>;
-@group(0) @binding(9) var pool_sampler: sampler;
 
 struct RayInGrid {
     // Where it enters the grid, voxels of level 0.
@@ -167,124 +89,6 @@ fn sample_interval(ray: RayInGrid, low: vec3<f32>, high: vec3<f32>, scale: f32) 
     let first = max(max(max(from_each.x, from_each.y), from_each.z), 0.0);
     let end = min(min(to_each.x, to_each.y), to_each.z);
     return vec2<f32>(first, min(end, floor(ray.length * scale + 0.5)));
-}
-
-// The index of a sample of a brick, from its place counted from the core's first.
-fn sample_index(place: vec3<i32>) -> u32 {
-    let at = vec3<u32>(place + i32(view.low_apron));
-    return at.x + view.full_edge * (at.y + view.full_edge * at.z);
-}
-
-fn is_masked(brick: Brick, place: vec3<f32>) -> bool {
-    if brick.mask == NO_MASK {
-        return false;
-    }
-    let index = sample_index(vec3<i32>(floor(place + 0.5)));
-    let at = brick.mask + (index >> 5u);
-    var word: u32;
-    if FETCH {
-        word = bank[at];
-    } else {
-        word = masks[at];
-    }
-    return ((word >> (index & 31u)) & 1u) == 1u;
-}
-
-// The value at a place that is a sample.
-fn fetch(brick: Brick, place: vec3<i32>) -> f32 {
-    if FETCH {
-        return decode_unit(brick.payload, brick.step, sample_index(place));
-    }
-    return textureLoad(pool, vec3<i32>(brick.texel) + place, 0).x;
-}
-
-// The value at a place, interpolated.
-fn value_at(brick: Brick, place: vec3<f32>) -> f32 {
-    if !FETCH {
-        return textureSampleLevel(pool, pool_sampler, (brick.texel + place + 0.5) * view.per_texel, 0.0).x;
-    }
-    let cell = floor(place);
-    let weight = place - cell;
-    let at = vec3<i32>(cell);
-    let near = face_at(brick, at, weight.xy);
-    let far = face_at(brick, at + vec3<i32>(0, 0, 1), weight.xy);
-    return mix(near, far, weight.z);
-}
-
-fn face_at(brick: Brick, at: vec3<i32>, weight: vec2<f32>) -> f32 {
-    let low = edge_at(brick, at, weight.x);
-    return mix(low, edge_at(brick, at + vec3<i32>(0, 1, 0), weight.x), weight.y);
-}
-
-fn classify(brick: Brick, value: f32) -> vec4<f32> {
-    return colors[brick.colors + color_index(value, brick.index_from_texel, NUM_COLORS)];
-}
-
-fn color_at(brick: Brick, place: vec3<f32>) -> vec4<f32> {
-    if !INTERPOLATE_COLOR {
-        return classify(brick, value_at(brick, place));
-    }
-    let cell = floor(place);
-    let weight = place - cell;
-    var color = vec4<f32>(0.0);
-    for (var i = 0u; i < 8u; i++) {
-        let corner = vec3<u32>(i, i >> 1u, i >> 2u) & vec3<u32>(1u);
-        let w = select(1.0 - weight, weight, corner == vec3<u32>(1u));
-        color += w.x * w.y * w.z * classify(brick, fetch(brick, vec3<i32>(cell) + vec3<i32>(corner)));
-    }
-    return color;
-}
-
-// Differences of the neighbours of each sample along x, y and z, interpolated as the samples are.
-fn difference_at(brick: Brick, place: vec3<f32>) -> vec3<f32> {
-    if FETCH {
-        return fetched_difference(brick, place);
-    }
-    let x = vec3<f32>(1.0, 0.0, 0.0);
-    let y = vec3<f32>(0.0, 1.0, 0.0);
-    let z = vec3<f32>(0.0, 0.0, 1.0);
-    return vec3<f32>(
-        value_at(brick, place + x) - value_at(brick, place - x),
-        value_at(brick, place + y) - value_at(brick, place - y),
-        value_at(brick, place + z) - value_at(brick, place - z),
-    );
-}
-
-// The same from the 32 samples that it takes, each fetched once. Written out: software drivers bound the number of
-// iterations of all loops together.
-fn fetched_difference(brick: Brick, place: vec3<f32>) -> vec3<f32> {
-    let cell = floor(place);
-    let w = place - cell;
-    let at = vec3<i32>(cell);
-    let a = row_at(brick, at, w.x);
-    let b = row_at(brick, at + vec3<i32>(0, 1, 0), w.x);
-    let c = row_at(brick, at + vec3<i32>(0, 0, 1), w.x);
-    let d = row_at(brick, at + vec3<i32>(0, 1, 1), w.x);
-    let below = vec2<f32>(edge_at(brick, at - vec3<i32>(0, 1, 0), w.x), edge_at(brick, at + vec3<i32>(0, -1, 1), w.x));
-    let above = vec2<f32>(edge_at(brick, at + vec3<i32>(0, 2, 0), w.x), edge_at(brick, at + vec3<i32>(0, 2, 1), w.x));
-    let near = vec2<f32>(edge_at(brick, at - vec3<i32>(0, 0, 1), w.x), edge_at(brick, at + vec3<i32>(0, 1, -1), w.x));
-    let far = vec2<f32>(edge_at(brick, at + vec3<i32>(0, 0, 2), w.x), edge_at(brick, at + vec3<i32>(0, 1, 2), w.x));
-    let along_y = mix(vec2<f32>(b.x, d.x) - below, above - vec2<f32>(a.x, c.x), w.y);
-    let along_z = mix(vec2<f32>(c.x, d.x) - near, far - vec2<f32>(a.x, b.x), w.z);
-    return vec3<f32>(
-        mix(mix(a.y, b.y, w.y), mix(c.y, d.y, w.y), w.z),
-        mix(along_y.x, along_y.y, w.z),
-        mix(along_z.x, along_z.y, w.y),
-    );
-}
-
-// Two neighbours along x, interpolated, and the differences of their neighbours.
-fn row_at(brick: Brick, at: vec3<i32>, weight: f32) -> vec2<f32> {
-    let before = fetch(brick, at - vec3<i32>(1, 0, 0));
-    let low = fetch(brick, at);
-    let high = fetch(brick, at + vec3<i32>(1, 0, 0));
-    let after = fetch(brick, at + vec3<i32>(2, 0, 0));
-    return vec2<f32>(mix(low, high, weight), mix(high - before, after - low, weight));
-}
-
-// Two neighbours along x, interpolated.
-fn edge_at(brick: Brick, at: vec3<i32>, weight: f32) -> f32 {
-    return mix(fetch(brick, at), fetch(brick, at + vec3<i32>(1, 0, 0)), weight);
 }
 
 // Puts the samples of a brick behind what was gathered.
