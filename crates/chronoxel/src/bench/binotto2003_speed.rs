@@ -7,7 +7,7 @@ use std::{path::Path, time::Instant};
 
 use chronoxel_core::{Camera, ColorMap, TransferFunction, UniformGrid};
 use chronoxel_ingest::{Codec, EncodeOptions, encode};
-use chronoxel_render::{GpuOptions, GpuRenderer};
+use chronoxel_render::{GpuOptions, GpuRenderer, Method};
 use serde_json::{Map, Value, json};
 
 use super::{BenchReport, Column, Input, Row, Section, Size, Style, Workplace, machine, object};
@@ -46,7 +46,7 @@ pub fn run(
     memory_bytes: u64,
     progress: &mut dyn FnMut(u64, u64),
 ) -> anyhow::Result<BenchReport> {
-    let total = inputs.iter().map(|input| (input.num_steps() + TABLE_3.len() * 2) as u64).sum();
+    let total = inputs.iter().map(|input| (input.num_steps() + TABLE_3.len() * 3) as u64).sum();
     let mut done = 0;
     let mut on_part = || {
         done += 1;
@@ -95,17 +95,20 @@ fn section_of(
     let options = GpuOptions::default();
     match GpuRenderer::adapter(&options) {
         Ok(info) => {
-            let mut on_gpu = Session::open(store, None, memory_bytes)?;
-            on_gpu.use_gpu(&options)?;
             notes.push(format!("GPU: {} ({})", info.name, info.kind));
-            measure(on_gpu, "fps_gpu", &mut rows, on_part)?;
+            for (method, key) in [(Method::Raycast, "fps_gpu"), (Method::Slices, "fps_gpu_slices")] {
+                let mut on_gpu = Session::open(store, None, memory_bytes)?;
+                on_gpu.use_gpu(&GpuOptions { method, ..options.clone() })?;
+                measure(on_gpu, key, &mut rows, on_part)?;
+            }
         }
         Err(error) => notes.push(error.to_string()),
     }
     let columns = vec![
         Column::paper("fps", "paper", Style::Fixed(2)),
         Column::here("fps_cpu", "here: CPU", Style::Fixed(2)),
-        Column::here("fps_gpu", "GPU", Style::Fixed(2)),
+        Column::here("fps_gpu", "GPU, rays", Style::Fixed(2)),
+        Column::here("fps_gpu_slices", "GPU, slices", Style::Fixed(2)),
     ];
     Ok(Section { title: format!("Table 3, frames per second: {name}"), columns, rows, notes })
 }

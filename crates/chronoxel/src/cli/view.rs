@@ -243,6 +243,10 @@ impl ViewArgs {
         let options =
             GpuOptions { memory_bytes: self.gpu_memory.0, method, interpolation, ..GpuOptions::default() };
         let needs_gpu = self.method == Method::Slices || self.interpolation == InterpolationName::Color;
+        anyhow::ensure!(
+            self.method == Method::Raycast || self.interpolation == InterpolationName::Scalar,
+            "--interpolation color is for rays: leave out --method slices"
+        );
         let cpu = |reason: String| {
             anyhow::ensure!(
                 !needs_gpu,

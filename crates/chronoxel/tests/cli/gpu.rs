@@ -68,6 +68,22 @@ fn the_gpu_draws_what_the_cpu_draws() {
 }
 
 #[test]
+fn slices_show_what_rays_show() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    if !is_ready(folder) {
+        return;
+    }
+    done(folder, "render run.cxl -t 5 --size 80x60 --tf filled --step 0.1 --backend cpu -o rays.png -q");
+    let line =
+        "render run.cxl -t 5 --size 80x60 --tf filled --step 0.1 --backend gpu --method slices -o slices.png";
+    assert_eq!(at(&json(folder, line), "backend"), &json!("gpu"));
+    let compared = json(folder, "compare rays.png slices.png");
+    assert!(number(&compared, "psnr_db") >= 40.0, "{compared}");
+    refused(folder, "render run.cxl --backend cpu --method slices -o x.png", &["--backend gpu"]);
+}
+
+#[test]
 fn a_new_step_within_a_window_uploads_next_to_nothing() {
     let folder = tempdir().unwrap();
     let folder = folder.path();
