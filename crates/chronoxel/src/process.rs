@@ -116,3 +116,13 @@ mod tests {
         forget_cached_files(&file.join("absent"));
     }
 }
+/// Keeps Mesa's layer that chooses among GPUs from asking a display for its opinion, and from complaining on stderr, where there is none.
+///
+/// What a user set stays. Call it before any other thread starts.
+pub fn choose_gpus_without_display() {
+    let is_unset = |name: &str| std::env::var_os(name).is_none();
+    if cfg!(target_os = "linux") && is_unset("XDG_RUNTIME_DIR") && is_unset("NODEVICE_SELECT") {
+        // SAFETY: this is the first thing that the process does, and no other thread reads or writes the environment yet.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    }
+}

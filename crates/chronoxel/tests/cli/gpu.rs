@@ -6,7 +6,7 @@ use serde_json::json;
 use tempfile::tempdir;
 
 use crate::{
-    command::{at, done, json, number, refused, run},
+    command::{at, command, done, json, number, refused, run},
     files::{picture, write_u8_steps},
 };
 
@@ -131,4 +131,8 @@ fn what_draws_is_said_with_the_reason() {
     assert!(reason.len() > 10 && !reason.contains('\n'), "{reason}");
     let text = done(folder, "render run.cxl --size 8x8 -o auto.png -v").stdout;
     assert!(text.contains(reason), "{text}");
+    // Drivers must not complain of a display that is not there.
+    let output =
+        command(folder, "render run.cxl --size 8x8 -o auto.png -q").env_remove("XDG_RUNTIME_DIR").output();
+    assert_eq!(String::from_utf8_lossy(&output.unwrap().stderr), "");
 }
