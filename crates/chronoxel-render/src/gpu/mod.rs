@@ -174,16 +174,16 @@ pub struct GpuStats {
 /// What draws, by the method.
 #[derive(Debug)]
 enum Drawing {
-    Raycast(Caster),
-    Slices(Slicing),
+    Raycast(Box<Caster>),
+    Slices(Box<Slicing>),
 }
 
 impl Drawing {
     fn new(device: &Device, options: &GpuOptions) -> Result<Self, GpuError> {
         let (lists_bytes, colors_bytes) = (options.memory_bytes / 8, options.memory_bytes / 16);
         Ok(match options.method {
-            Method::Raycast => Self::Raycast(Caster::new(device, lists_bytes, colors_bytes)?),
-            Method::Slices => Self::Slices(Slicing::new(device, lists_bytes, colors_bytes)?),
+            Method::Raycast => Self::Raycast(Box::new(Caster::new(device, lists_bytes, colors_bytes)?)),
+            Method::Slices => Self::Slices(Box::new(Slicing::new(device, lists_bytes, colors_bytes)?)),
         })
     }
 
