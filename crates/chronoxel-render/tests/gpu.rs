@@ -88,6 +88,8 @@ fn a_still_picture_uploads_and_decodes_nothing() {
     assert_identical("still", &second, &first);
     assert_eq!((stats.slots_decoded, stats.payloads_uploaded), (0, 0));
     assert!(stats.bytes_uploaded < 512, "{stats:?}");
+    assert_eq!(stats.decode_ms, 0.0);
+    assert!(stats.render_ms > 0.0 && stats.render_ms <= stats.wall_ms, "{stats:?}");
 }
 
 #[test]

@@ -14,6 +14,7 @@ mod error;
 mod host;
 mod import;
 mod memory;
+mod oldest;
 mod page_table;
 mod pool;
 mod portion;
@@ -34,8 +35,8 @@ use crate::{RenderError, Scene};
 use device::Device;
 pub use device::GpuInfo;
 pub use error::GpuError;
-use portion::{Colors, Residency};
-use raycast::{Caster, How};
+use portion::{Colors, Making, Residency};
+use raycast::{Caster, Shot};
 use timing::Timer;
 
 /// How the GPU is used.
@@ -228,12 +229,12 @@ impl GpuRenderer {
         rows: [usize; 2],
         stats: &mut GpuStats,
     ) -> Result<(), GpuError> {
-        let how = How { way: self.options.way, interpolation: self.options.interpolation };
+        let GpuOptions { way, interpolation, .. } = self.options;
         let (mut drawn, mut is_first) = (0, true);
         while is_first || drawn < bricks.len() {
-            let (device, timer, mut found) = (&self.device, &mut self.timer, GpuStats::default());
-            let portion =
-                self.residency.gather(device, scene, bricks, &mut drawn, &self.colors, timer, &mut found)?;
+            let mut found = GpuStats::default();
+            let mut making = Making { device: &self.device, timer: &mut self.timer, stats: &mut found };
+            let portion = self.residency.gather(&mut making, scene, bricks, &mut drawn, &self.colors)?;
             stats.slots_decoded += found.slots_decoded;
             stats.payloads_uploaded += found.payloads_uploaded;
             if rows[0] == 0 {
@@ -241,8 +242,9 @@ impl GpuRenderer {
                 stats.bricks_constant += found.bricks_constant;
                 stats.bricks_skipped += found.bricks_skipped;
             }
-            let (pool, bank) = self.residency.resources();
-            self.caster.draw(device, scene, how, &portion, rows, is_first, pool, bank, timer)?;
+            let shot = Shot { scene, way, interpolation, rows, is_first };
+            let sources = self.residency.sources();
+            self.caster.draw(&self.device, shot, &portion, sources, &mut self.timer)?;
             stats.num_portions += 1;
             is_first = false;
         }

@@ -313,10 +313,10 @@ fn decoding() {
 
 #[test]
 fn location() {
-    let mut boxes = std::collections::BTreeMap::from([
+    let mut boxes = vec![
         (CellBox { low: [4, 0, 0], level: 2 }, Entry::Constant(3)),
         (CellBox { low: [0, 2, 4], level: 1 }, Entry::Brick(4)),
-    ]);
+    ];
     boxes.extend(
         (0..64)
             .filter(|i| i % 5 != 0)
