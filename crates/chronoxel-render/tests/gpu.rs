@@ -181,6 +181,15 @@ fn one_renderer_draws_one_scene_after_another() {
 }
 
 #[test]
+fn renderers_go_to_other_threads() {
+    let Some(mut gpu) = renderer(&with_memory(32 << 20)) else { return };
+    let case = case(&field(), 16, Coding::Affine);
+    let (first, _) = gpu.draw(&case.scene, &case.bricks).unwrap();
+    let draw = move || gpu.draw(&case.scene, &case.bricks).unwrap().0;
+    assert_identical("another thread", &std::thread::spawn(draw).join().unwrap(), &first);
+}
+
+#[test]
 fn nothing_is_a_blank_picture() {
     let Some(mut gpu) = renderer(&with_memory(16 << 20)) else { return };
     let mut case = case(&field(), 16, Coding::Affine);

@@ -144,9 +144,9 @@ pub struct GpuStats {
     pub payloads_uploaded: usize,
     /// Bytes uploaded, of payloads and all else.
     pub bytes_uploaded: u64,
-    /// GPU memory in use, and the most that ever was.
+    /// GPU memory in use.
     pub gpu_bytes: u64,
-    /// The most that ever was.
+    /// The most GPU memory that was ever in use.
     pub gpu_bytes_peak: u64,
     /// Time to decode, by the GPU's clock; 0 where it has none.
     pub decode_ms: f64,
