@@ -86,10 +86,6 @@ const MOST_FAILED: usize = 30;
 fn run_over_list(name: &str, options: &GpuOptions, most_failed: usize) {
     let Some(mut gpu) = renderer(options) else { return };
     for (case, expected) in defined() {
-        // Drivers on the CPU take minutes to translate what fetches all that a lit sample needs.
-        if options.way == Way::Fetch && case.scene.lighting.is_some() {
-            continue;
-        }
         let (actual, stats) = gpu.draw(&case.scene, &case.bricks).unwrap();
         assert_all_drawn(case, &stats);
         assert!(stats.gpu_bytes_peak <= options.memory_bytes, "{stats:?}");

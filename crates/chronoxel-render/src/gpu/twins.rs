@@ -305,18 +305,23 @@ fn decoding() {
     }
     let memory = Memory { bank, ..Memory::default() };
     let Some(values) = call(Function::DecodeUnit, &memory, &inputs_of(&rows)) else { return };
-    for ([_, step, sample], [value, ..]) in rows.iter().zip(values) {
-        let expected = decode_unit(&memory.bank, 5, *step as u32, *sample as usize);
-        assert_close(&format!("sample {sample} at {step}"), value, expected, 2e-7);
+    for ([_, step, sample], [value, same, next, _]) in rows.iter().zip(values) {
+        let expected = |at| decode_unit(&memory.bank, 5, *step as u32, at);
+        let (sample, what) = (*sample as usize, format!("sample {sample} at {step}"));
+        assert_close(&what, value, expected(sample), 2e-7);
+        assert_close(&what, same, value, 1e-7);
+        if sample + 1 < layout.num_full() {
+            assert_close(&format!("{what} and the next"), next, expected(sample + 1), 2e-7);
+        }
     }
 }
 
 #[test]
 fn location() {
-    let mut boxes = std::collections::BTreeMap::from([
+    let mut boxes = vec![
         (CellBox { low: [4, 0, 0], level: 2 }, Entry::Constant(3)),
         (CellBox { low: [0, 2, 4], level: 1 }, Entry::Brick(4)),
-    ]);
+    ];
     boxes.extend(
         (0..64)
             .filter(|i| i % 5 != 0)

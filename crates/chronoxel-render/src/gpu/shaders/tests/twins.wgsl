@@ -45,7 +45,8 @@ fn call(arguments: Arguments) -> vec4<f32> {
             return vec4<f32>(f32(color_index(a.x, a.yz, 4096u)));
         }
         case 5u: {
-            return vec4<f32>(decode_unit(u32(a.x), u32(a.y), u32(a.z)));
+            let next = decode_units(u32(a.x), u32(a.y), u32(a.z));
+            return vec4<f32>(decode_unit(u32(a.x), u32(a.y), u32(a.z)), next, 0.0);
         }
         default: {
             let found = locate(vec3<i32>(a.xyz), u32(a.w));
