@@ -8,7 +8,7 @@ use std::sync::Arc;
 use chronoxel_codec::decode_resident;
 use chronoxel_core::Image;
 use chronoxel_render::{
-    DrawBrick, DrawHow, GpuBrick, GpuHow, GpuOptions, GpuRenderer, PreparedBrick, Scene, Way, render,
+    DrawBrick, DrawHow, GpuBrick, GpuHow, GpuOptions, GpuRenderer, Method, PreparedBrick, Scene, Way, render,
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 use peers::pictures::cases::{Coding, NUM_STEPS};
@@ -75,5 +75,25 @@ fn gpu(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, gpu);
+/// Slices beside rays, on a still step.
+fn methods(c: &mut Criterion) {
+    let renderer = |method| GpuRenderer::new(&GpuOptions { method, ..Default::default() });
+    let (mut rays, mut slices) = match (renderer(Method::Raycast), renderer(Method::Slices)) {
+        (Ok(rays), Ok(slices)) => (rays, slices),
+        (Err(e), _) | (_, Err(e)) => return println!("{e}"),
+    };
+    let field = peers::ripples(64);
+    for (function, lit) in [("sparse", false), ("filled", false), ("sparse", true), ("filled", true)] {
+        let scene = Scene { size: SIZE, ..peers::scene(&field, function, [0.0, 255.0], lit) };
+        let list = field.coded_list(&scene, 0, Coding::Affine);
+        let mut group = c.benchmark_group(format!("methods, {function}{}", if lit { " lit" } else { "" }));
+        group.sample_size(10);
+        for (name, gpu) in [("rays", &mut rays), ("slices", &mut slices)] {
+            group.bench_function(name, |b| b.iter(|| gpu.draw(&scene, &list).expect("a picture").0));
+        }
+        group.finish();
+    }
+}
+
+criterion_group!(benches, gpu, methods);
 criterion_main!(benches);

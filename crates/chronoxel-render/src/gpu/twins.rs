@@ -53,6 +53,15 @@ fn accumulate_constant(opacity: f32, log_transmittance: f32, num_samples: f32) -
     [-exp_m1(x) / opacity, x.exp()]
 }
 
+/// `shared/opacity.wgsl`
+fn log_transmittance_of(a: f32) -> f32 {
+    if a > 0.125 {
+        return (1.0 - a).ln();
+    }
+    let series = 1.0 + a * (1.0 / 2.0 + a * (1.0 / 3.0 + a * (1.0 / 4.0 + a * (1.0 / 5.0 + a / 6.0))));
+    -a * series
+}
+
 /// `shared/lighting.wgsl`
 fn power(base: f32, exponent: u32) -> f32 {
     let (mut result, mut square, mut rest) = (1.0, base, exponent);
@@ -88,6 +97,7 @@ enum Function {
     HeadlightTerms,
     ColorIndex,
     DecodeUnit,
+    LogTransmittanceOf,
     Locate,
 }
 
@@ -194,6 +204,23 @@ fn runs_of_equal_samples() {
         let expected = accumulate_constant(*opacity, *log_transmittance, *n);
         assert_close(&format!("weight {opacity} {n}"), weight, expected[0], 3e-6 * expected[0]);
         assert_close(&format!("transmittance {opacity} {n}"), transmittance, expected[1], 2e-6);
+    }
+}
+
+#[test]
+fn opacities_of_longer_ways_keep_what_is_small() {
+    let rows: Vec<[f32; 1]> = (0..400).map(|i| [10f32.powf(i as f32 / 60.0 - 6.66)]).collect();
+    for [opacity] in &rows {
+        let exact = (-f64::from(*opacity)).ln_1p();
+        let found = f64::from(log_transmittance_of(*opacity));
+        assert!((found - exact).abs() <= 2e-6 * exact.abs(), "{opacity}: {found} in place of {exact}");
+    }
+    let Some(values) = call(Function::LogTransmittanceOf, &Memory::default(), &inputs_of(&rows)) else {
+        return;
+    };
+    for ([opacity], [value, ..]) in rows.iter().zip(values) {
+        let expected = log_transmittance_of(*opacity);
+        assert_close(&format!("ln(1 - {opacity})"), value, expected, 1e-5 * expected.abs());
     }
 }
 
