@@ -37,7 +37,7 @@ fn frames(c: &mut Criterion) {
     let field = peers::ripples(128);
     for (function, lit) in [("sparse", false), ("filled", false), ("sparse", true), ("filled", true)] {
         let mut scene = peers::scene(&field, function, [0.0, 255.0], lit);
-        let bricks = field.draw_list(&scene, 0, peers::Quantise::PerBrick);
+        let bricks = field.draw_list(&scene, 0, peers::pictures::Quantise::PerBrick);
         let list = peers::turned(&mut scene, &bricks, 30.0);
         let mut group = c.benchmark_group(format!("{function}{}", if lit { " lit" } else { "" }));
         group.sample_size(10);
@@ -71,7 +71,7 @@ fn pixels(c: &mut Criterion) {
     let field = peers::ripples(128);
     let mut scene = peers::scene(&field, "filled", [0.0, 255.0], false);
     scene.opacity_unit = 1e4;
-    let bricks = field.draw_list(&scene, 0, peers::Quantise::PerBrick);
+    let bricks = field.draw_list(&scene, 0, peers::pictures::Quantise::PerBrick);
     let list = peers::turned(&mut scene, &bricks, 30.0);
     let run = 0..list.len();
     let image = record(&scene, &list, std::slice::from_ref(&run)).swap_remove(0).expect("it is seen");

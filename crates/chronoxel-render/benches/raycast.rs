@@ -14,7 +14,7 @@ fn raycast(c: &mut Criterion) {
     group.sample_size(10);
     for (function, lit) in [("sparse", false), ("filled", false), ("sparse", true), ("filled", true)] {
         let mut scene = peers::scene(&field, function, [0.0, 255.0], lit);
-        let bricks = field.draw_list(&scene, 0, peers::Quantise::PerBrick);
+        let bricks = field.draw_list(&scene, 0, peers::pictures::Quantise::PerBrick);
         let list = peers::turned(&mut scene, &bricks, 30.0);
         let (_, stats) = render(&scene, &list).expect("the scene can be drawn");
         group.throughput(Throughput::Elements(stats.num_samples));

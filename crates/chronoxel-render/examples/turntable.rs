@@ -14,7 +14,8 @@ use chronoxel_render::{CpuOptions, render_with};
 #[path = "../benches/peers/mod.rs"]
 mod peers;
 
-use peers::{Field, Quantise};
+use peers::Field;
+use peers::pictures::Quantise;
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();

@@ -88,6 +88,8 @@ fn a_still_picture_uploads_and_decodes_nothing() {
     assert_identical("still", &second, &first);
     assert_eq!((stats.slots_decoded, stats.payloads_uploaded), (0, 0));
     assert!(stats.bytes_uploaded < 512, "{stats:?}");
+    assert_eq!(stats.decode_ms, 0.0);
+    assert!(stats.render_ms > 0.0 && stats.render_ms <= stats.wall_ms, "{stats:?}");
 }
 
 #[test]
@@ -176,6 +178,15 @@ fn one_renderer_draws_one_scene_after_another() {
         let drawn = gpu.draw(&case.scene, &case.bricks).unwrap();
         check(&case, &drawn);
     }
+}
+
+#[test]
+fn renderers_go_to_other_threads() {
+    let Some(mut gpu) = renderer(&with_memory(32 << 20)) else { return };
+    let case = case(&field(), 16, Coding::Affine);
+    let (first, _) = gpu.draw(&case.scene, &case.bricks).unwrap();
+    let draw = move || gpu.draw(&case.scene, &case.bricks).unwrap().0;
+    assert_identical("another thread", &std::thread::spawn(draw).join().unwrap(), &first);
 }
 
 #[test]

@@ -4,9 +4,16 @@
 
 mod pictures;
 
-use chronoxel_render::{GpuError, GpuOptions, GpuRenderer, Method};
-use pictures::cases::{assert_all_drawn, cases, cpu_picture};
-use pictures::difference;
+use std::sync::OnceLock;
+
+use chronoxel_codec::decode_resident;
+use chronoxel_core::{
+    Camera, Image, ResolvedTransfer, TransferDomain, TransferFunction, TransferPoint, UniformGrid,
+};
+use chronoxel_render::slices::render_slices_reference_with;
+use chronoxel_render::{DenseField, DrawHow, GpuError, GpuHow, GpuOptions, GpuRenderer, Method, Scene, Way};
+use pictures::cases::{Case, Coding, assert_all_drawn, cases, cpu_list, cpu_picture};
+use pictures::{Field, assert_similar, difference, scene_of};
 
 /// A renderer of slices, where there is an adapter.
 fn renderer(options: &GpuOptions) -> Option<GpuRenderer> {
@@ -20,14 +27,158 @@ fn renderer(options: &GpuOptions) -> Option<GpuRenderer> {
     }
 }
 
+fn is_of_one_level(case: &Case) -> bool {
+    case.bricks.iter().all(|brick| brick.node.level == 0 || !matches!(brick.how, GpuHow::Coded(_)))
+}
+
+/// The field whose bricks of level 0 a case has; what lies in none is 0.
+fn field_of(case: &Case) -> Field {
+    let Scene { grid, layout, .. } = &case.scene;
+    let mut field = Field::new(*grid, |_| 0.0);
+    let mut mask = vec![false; field.samples.len()];
+    let full = layout.full_edge();
+    for brick in &case.bricks {
+        let GpuHow::Coded(coded) = &brick.how else { continue };
+        let flags = coded.mask.as_deref().cloned();
+        let decoded = decode_resident(&coded.payload, layout, coded.step_in_span, flags).unwrap();
+        for (i, sample) in decoded.samples.iter().enumerate() {
+            let at = [i % full, i / full % full, i / (full * full)];
+            let first = brick.node.brick().map(|b| b as usize * layout.edge);
+            let place: [usize; 3] = std::array::from_fn(|a| (first[a] + at[a]).wrapping_sub(layout.low));
+            if (0..3).all(|a| place[a] < grid.dims[a]) {
+                let index = (place[2] * grid.dims[1] + place[1]) * grid.dims[0] + place[0];
+                field.samples[index] = decoded.offset + decoded.scale * f64::from(*sample);
+                mask[index] = decoded.mask.as_ref().is_some_and(|mask| mask.get(i));
+            }
+        }
+    }
+    field.mask = Some(mask);
+    field
+}
+
+/// The picture of a case's slices, by definition.
+fn defined_picture(case: &Case) -> Image {
+    let field = field_of(case);
+    let dense = DenseField { samples: &field.samples, mask: field.mask.as_deref() };
+    let mut list = cpu_list(case);
+    list.retain(|brick| !matches!(brick.how, DrawHow::Samples(_)));
+    render_slices_reference_with(&case.scene, &dense, &list).unwrap()
+}
+
+/// The scenes that have a definition, as small pictures, and these.
+fn defined() -> &'static [(Case, Image)] {
+    static DEFINED: OnceLock<Vec<(Case, Image)>> = OnceLock::new();
+    DEFINED.get_or_init(|| {
+        let small = cases().into_iter().filter(is_of_one_level).map(|mut case| {
+            case.scene.size = [48, 40];
+            let image = defined_picture(&case);
+            (case, image)
+        });
+        small.collect()
+    })
+}
+
+/// Pixels of 1920 that may be more than 2/255 off; 23 were, at most, on a software driver. A slice more or less at one
+/// end of a ray, where the pixel's centre lies on a polygon's edge but for rounding, is more than that.
+const MOST_FAILED: usize = 30;
+
+/// Draws the scenes that have a definition, in 45 dB or better.
+fn run_over_list(name: &str, options: &GpuOptions, most_failed: usize) {
+    let Some(mut gpu) = renderer(options) else { return };
+    for (case, expected) in defined() {
+        let (actual, stats) = gpu.draw(&case.scene, &case.bricks).unwrap();
+        assert_all_drawn(case, &stats);
+        assert!(stats.gpu_bytes_peak <= options.memory_bytes, "{stats:?}");
+        let found = difference(&actual, expected);
+        println!(
+            "{name}, {}: {:.1} dB, {} failed, max {:.5}, {} portions, {:.1} ms",
+            case.name, found.psnr_db, found.num_failed, found.max, stats.num_portions, stats.render_ms
+        );
+        assert_similar(&format!("{name} {}", case.name), &actual, expected, 45.0, most_failed);
+    }
+}
+
 #[test]
-fn the_list_of_scenes_is_drawn() {
+fn slices_are_those_of_the_definition() {
+    run_over_list("slices", &GpuOptions { memory_bytes: 64 << 20, ..Default::default() }, MOST_FAILED);
+}
+
+#[test]
+fn slices_with_what_is_guaranteed() {
+    let options = GpuOptions { guaranteed_only: true, memory_bytes: 64 << 20, ..Default::default() };
+    // Every layer is rounded to 11 bits.
+    run_over_list("slices guaranteed", &options, 300);
+}
+
+#[test]
+fn slices_with_less_memory_than_the_data() {
+    run_over_list(
+        "slices in portions",
+        &GpuOptions { memory_bytes: 3 << 20, ..Default::default() },
+        MOST_FAILED,
+    );
+}
+
+#[test]
+fn slices_that_decode_at_each_fetch() {
+    let options = GpuOptions { way: Way::Fetch, memory_bytes: 64 << 20, ..Default::default() };
+    run_over_list("slices fetch", &options, MOST_FAILED);
+}
+
+#[test]
+fn slices_become_the_picture_of_rays_as_the_distance_shrinks() {
+    let options = GpuOptions { memory_bytes: 64 << 20, ..Default::default() };
+    let Some(mut gpu) = renderer(&options) else { return };
+    let is_chosen = |i: usize, case: &Case| i.is_multiple_of(5) || case.name.starts_with("mixed levels");
+    let chosen = cases().into_iter().enumerate().filter(|(i, case)| is_chosen(*i, case));
+    for (_, mut case) in chosen {
+        case.scene.size = [48, 40];
+        let from = case.scene.step_voxels;
+        let mut psnr_db = Vec::new();
+        for divisor in [1.0, 4.0] {
+            case.scene.step_voxels = from / divisor;
+            let (image, _) = gpu.draw(&case.scene, &case.bricks).unwrap();
+            psnr_db.push(difference(&image, &cpu_picture(&case)).psnr_db);
+        }
+        println!("{}: {psnr_db:.1?} dB", case.name);
+        // A quarter of the distance has a quarter of the error, 12 dB, but for rounding.
+        assert!(psnr_db[1] > psnr_db[0] + 8.0 && psnr_db[1] > 50.0, "{}: {psnr_db:?}", case.name);
+    }
+}
+
+fn opacity_everywhere(opacity: f32) -> ResolvedTransfer {
+    let points = [0.0, 1.0].map(|x| TransferPoint { x, color: [0.25, 0.5, 1.0], opacity }).to_vec();
+    TransferFunction::new(points, TransferDomain::Data).unwrap().resolve([0.0, 1.0]).unwrap()
+}
+
+/// Cameras from which the volume's borders are seen at several angles, and its outer faces at none.
+fn scenes_within(field: &Field, edge: usize) -> Vec<Scene> {
+    let views = [(0.0, 0.0, Some(35.0)), (37.0, 22.0, Some(35.0)), (37.0, 22.0, None), (45.0, 35.264, None)];
+    let scenes = views.map(|(azimuth, elevation, fov)| {
+        let bounds = field.grid.bounds();
+        let camera = Camera::orbit(bounds, azimuth, elevation, 1.0, fov, 1.2).unwrap();
+        let transfer = opacity_everywhere(0.03);
+        Scene { camera, transfer, ..scene_of(field, edge, "ramp", false) }
+    });
+    scenes.to_vec()
+}
+
+#[test]
+fn bricks_have_no_seams() {
     let Some(mut gpu) = renderer(&GpuOptions { memory_bytes: 64 << 20, ..Default::default() }) else {
         return;
     };
-    for case in cases() {
-        let (image, stats) = gpu.draw(&case.scene, &case.bricks).unwrap();
-        assert_all_drawn(&case, &stats);
-        println!("{} {:?}", case.name, difference(&image, &cpu_picture(&case)));
+    let field = Field::new(UniformGrid::new([33; 3], [0.0; 3], [1.0; 3]).unwrap(), |_| 0.7);
+    for (i, one) in scenes_within(&field, 32).iter().enumerate() {
+        let (expected, _) = gpu.draw(one, &field.coded_list(one, 0, Coding::Affine)).unwrap();
+        for edge in [8, 16] {
+            let scene = &scenes_within(&field, edge)[i];
+            let (actual, stats) = gpu.draw(scene, &field.coded_list(scene, 0, Coding::Affine)).unwrap();
+            assert!(stats.bricks_drawn >= 8);
+            let found = difference(&actual, &expected);
+            println!("view {i}, bricks of {edge}: {found:?}");
+            // A seam would be a line of pixels.
+            assert!(found.num_failed <= 8 && found.max < 0.016, "view {i}, bricks of {edge}: {found:?}");
+        }
     }
 }

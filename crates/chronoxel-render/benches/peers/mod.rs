@@ -9,9 +9,9 @@ use chronoxel_core::{
 use chronoxel_render::{DrawBrick, Scene};
 
 #[path = "../../tests/pictures/mod.rs"]
-mod pictures;
+pub mod pictures;
 
-pub use pictures::{Field, Quantise, in_view_order};
+pub use pictures::{Field, in_view_order};
 
 /// Distance of the camera in edges of a cube, at which the cube covers a third of the picture over a full turn.
 const DISTANCE_IN_EDGES: f64 = 4.0561;

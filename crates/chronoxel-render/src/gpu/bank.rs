@@ -1,6 +1,6 @@
 //! Payloads on the GPU: indices and tables, in storage buffers (banks) each of which one binding reaches.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_codec::{Indices, Payload, Table};
@@ -9,6 +9,7 @@ use chronoxel_core::{BitMask, BrickLayout};
 use super::device::Device;
 use super::host::StageData;
 use super::memory::Buffer;
+use super::oldest::Oldest;
 use super::{GpuError, RenderError};
 
 /// Words of a stage's description.
@@ -157,8 +158,7 @@ pub(super) struct Banks {
     most_banks: usize,
     most_bytes: u64,
     held: HashMap<u64, Held>,
-    /// Keys by last use; every use has its own number.
-    by_use: BTreeMap<u64, u64>,
+    oldest: Oldest,
 }
 
 /// Bytes of the first bank.
@@ -166,7 +166,7 @@ const FIRST_BANK: u64 = 4 << 20;
 
 impl Banks {
     pub fn new(most_bytes: u64, most_banks: usize) -> Self {
-        Self { banks: Vec::new(), most_banks, most_bytes, held: HashMap::new(), by_use: BTreeMap::new() }
+        Self { banks: Vec::new(), most_banks, most_bytes, held: HashMap::new(), oldest: Oldest::default() }
     }
 
     pub fn raw(&self, bank: usize) -> Option<&wgpu::Buffer> {
@@ -180,8 +180,6 @@ impl Banks {
     /// Where a payload lies, if it is here.
     pub fn get(&mut self, key: u64, now: u64) -> Option<Place> {
         let held = self.held.get_mut(&key)?;
-        self.by_use.remove(&held.last_use);
-        self.by_use.insert(now, key);
         held.last_use = now;
         Some(held.place)
     }
@@ -203,17 +201,16 @@ impl Banks {
         device.upload(&self.banks[bank].buffer.raw, 4 * u64::from(word), cast_slice(&packed.words));
         let place = Place { bank, word, num_words, range: packed.range };
         self.held.insert(key, Held { place, last_use: now });
-        self.by_use.insert(now, key);
         Ok(Some(place))
     }
 
     /// Forgets the payload that was used least recently, if that was before a moment; whether there was one.
     pub fn forget_oldest(&mut self, before: u64) -> bool {
-        let Some((&last_use, &key)) = self.by_use.first_key_value() else { return false };
-        if last_use >= before {
+        let held = &self.held;
+        let uses = || held.iter().map(|(key, held)| (held.last_use, *key));
+        let Some(key) = self.oldest.take(before, uses, |key| held.get(&key).map(|h| h.last_use)) else {
             return false;
-        }
-        self.by_use.remove(&last_use);
+        };
         if let Some(Held { place, .. }) = self.held.remove(&key) {
             release(&mut self.banks[place.bank].free, [place.word, place.num_words]);
         }

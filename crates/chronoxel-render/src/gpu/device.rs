@@ -201,7 +201,10 @@ pub(super) fn uniform(has_dynamic_offset: bool) -> wgpu::BindingType {
 /// Keeps the first fault that a device reports.
 fn listen(device: &wgpu::Device, fault: &Arc<Mutex<Option<String>>>) {
     let of_errors = fault.clone();
-    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&of_errors, error.to_string())));
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| match error {
+        wgpu::Error::OutOfMemory { .. } => note(&of_errors, "its memory is full, allow less of it".into()),
+        error => note(&of_errors, error.to_string()),
+    }));
     let of_loss = fault.clone();
     device.set_device_lost_callback(move |reason, message| {
         note(&of_loss, format!("{reason:?}: {message}"));

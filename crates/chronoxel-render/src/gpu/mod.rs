@@ -14,6 +14,7 @@ mod error;
 mod host;
 mod import;
 mod memory;
+mod oldest;
 mod page_table;
 mod pool;
 mod portion;
@@ -36,8 +37,8 @@ use crate::{RenderError, Scene};
 use device::Device;
 pub use device::GpuInfo;
 pub use error::GpuError;
-use portion::{Colors, Residency};
-use raycast::{Caster, How};
+use portion::{Colors, Making, Residency};
+use raycast::{Caster, Shot};
 use slicing::Slicing;
 use timing::Timer;
 
@@ -159,9 +160,9 @@ pub struct GpuStats {
     pub payloads_uploaded: usize,
     /// Bytes uploaded, of payloads and all else.
     pub bytes_uploaded: u64,
-    /// GPU memory in use, and the most that ever was.
+    /// GPU memory in use.
     pub gpu_bytes: u64,
-    /// The most that ever was.
+    /// The most GPU memory that was ever in use.
     pub gpu_bytes_peak: u64,
     /// Time to decode, by the GPU's clock; 0 where it has none.
     pub decode_ms: f64,
@@ -174,16 +175,16 @@ pub struct GpuStats {
 /// What draws, by the method.
 #[derive(Debug)]
 enum Drawing {
-    Raycast(Caster),
-    Slices(Slicing),
+    Raycast(Box<Caster>),
+    Slices(Box<Slicing>),
 }
 
 impl Drawing {
     fn new(device: &Device, options: &GpuOptions) -> Result<Self, GpuError> {
         let (lists_bytes, colors_bytes) = (options.memory_bytes / 8, options.memory_bytes / 16);
         Ok(match options.method {
-            Method::Raycast => Self::Raycast(Caster::new(device, lists_bytes, colors_bytes)?),
-            Method::Slices => Self::Slices(Slicing::new(device, lists_bytes, colors_bytes)?),
+            Method::Raycast => Self::Raycast(Box::new(Caster::new(device, lists_bytes, colors_bytes)?)),
+            Method::Slices => Self::Slices(Box::new(Slicing::new(device, lists_bytes, colors_bytes)?)),
         })
     }
 
@@ -306,13 +307,12 @@ impl GpuRenderer {
         rows: [usize; 2],
         stats: &mut GpuStats,
     ) -> Result<(), GpuError> {
-        let how = How { way: self.options.way, interpolation: self.options.interpolation };
+        let GpuOptions { way, interpolation, .. } = self.options;
         let (mut drawn, mut is_first) = (0, true);
         while is_first || drawn < bricks.len() {
-            let before = drawn;
-            let (device, timer, mut found) = (&self.device, &mut self.timer, GpuStats::default());
-            let portion =
-                self.residency.gather(device, scene, bricks, &mut drawn, &self.colors, timer, &mut found)?;
+            let mut found = GpuStats::default();
+            let mut making = Making { device: &self.device, timer: &mut self.timer, stats: &mut found };
+            let portion = self.residency.gather(&mut making, scene, bricks, &mut drawn, &self.colors)?;
             stats.slots_decoded += found.slots_decoded;
             stats.payloads_uploaded += found.payloads_uploaded;
             if rows[0] == 0 {
@@ -320,14 +320,13 @@ impl GpuRenderer {
                 stats.bricks_constant += found.bricks_constant;
                 stats.bricks_skipped += found.bricks_skipped;
             }
-            let (pool, bank) = self.residency.resources();
+            let shot = Shot { scene, way, interpolation, rows, is_first };
+            let sources = self.residency.sources();
+            let (device, timer) = (&self.device, &mut self.timer);
             match &mut self.drawing {
-                Drawing::Raycast(caster) => {
-                    caster.draw(device, scene, how, &portion, rows, is_first, pool, bank, timer)?;
-                }
+                Drawing::Raycast(caster) => caster.draw(device, shot, &portion, sources, timer)?,
                 Drawing::Slices(slicing) => {
-                    let bricks = &bricks[before..drawn];
-                    slicing.draw(device, scene, how, &portion, bricks, rows, is_first, pool, bank, timer)?;
+                    slicing.draw(device, shot, &portion, sources, timer)?;
                 }
             }
             stats.num_portions += 1;

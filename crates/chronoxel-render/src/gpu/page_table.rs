@@ -1,7 +1,5 @@
 //! The page table: the nodes of the active cut, with child pointers, and what is in each.
 
-use std::collections::BTreeMap;
-
 use crate::RenderError;
 
 /// A box of the octree, in cells: bricks of level 0.
@@ -84,9 +82,9 @@ impl PageTable {
     ///
     /// # Errors
     /// [`RenderError::InvalidArgument`] if two boxes overlap.
-    pub fn new(boxes: &BTreeMap<CellBox, Entry>, num_cells: [u32; 3]) -> Result<Self, RenderError> {
+    pub fn new(boxes: &[(CellBox, Entry)], num_cells: [u32; 3]) -> Result<Self, RenderError> {
         let level_of = |cells: u32| cells.next_power_of_two().trailing_zeros();
-        let of_boxes = boxes.keys().map(|b| b.low.map(|c| level_of(c + (1 << b.level))));
+        let of_boxes = boxes.iter().map(|(b, _)| b.low.map(|c| level_of(c + (1 << b.level))));
         let root_level = of_boxes.flatten().chain(num_cells.map(level_of)).fold(1, u32::max);
         let mut table = Self { words: vec![0; 8], root_level };
         for (place, entry) in boxes {
@@ -167,12 +165,12 @@ mod tests {
     }
 
     /// Boxes of several levels over 8³ cells, some absent.
-    fn boxes() -> BTreeMap<CellBox, Entry> {
-        let mut boxes = BTreeMap::new();
+    fn boxes() -> Vec<(CellBox, Entry)> {
+        let mut boxes = Vec::new();
         let mut insert = |low, level| {
             let number = boxes.len() as u32;
             let entry = if number.is_multiple_of(3) { Entry::Constant(number) } else { Entry::Brick(number) };
-            boxes.insert(CellBox { low, level }, entry);
+            boxes.push((CellBox { low, level }, entry));
         };
         insert([4, 0, 0], 2);
         for i in 0..8 {
@@ -205,7 +203,7 @@ mod tests {
 
     #[test]
     fn a_box_of_all_is_found_everywhere() {
-        let boxes = BTreeMap::from([(CellBox { low: [0; 3], level: 2 }, Entry::Brick(7))]);
+        let boxes = [(CellBox { low: [0; 3], level: 2 }, Entry::Brick(7))];
         let table = PageTable::new(&boxes, [3, 3, 3]).unwrap();
         assert_eq!(table.locate([3, 1, 2]).0, Some(Entry::Brick(7)));
     }
@@ -214,7 +212,7 @@ mod tests {
     fn boxes_that_overlap_are_refused() {
         let inner = CellBox { low: [2, 2, 2], level: 1 };
         for other in [CellBox { low: [0; 3], level: 2 }, CellBox { low: [2, 3, 2], level: 0 }] {
-            let boxes = BTreeMap::from([(inner, Entry::Brick(0)), (other, Entry::Constant(0))]);
+            let boxes = [(inner, Entry::Brick(0)), (other, Entry::Constant(0))];
             assert!(PageTable::new(&boxes, [8; 3]).is_err(), "{other:?}");
         }
     }

@@ -1,6 +1,6 @@
 //! The brick pool: a 3-D texture of slots of one size, each of which holds the decoded samples of a brick at a step.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 use chronoxel_core::BrickLayout;
 
@@ -8,6 +8,7 @@ use super::GpuError;
 use super::bank::ValueRange;
 use super::device::Device;
 use super::memory::{Buffer, Texture};
+use super::oldest::Oldest;
 
 /// How slots lie in the pool. A slot has two samples a word, so that a row of it ends with a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,7 +100,7 @@ pub(super) struct Pool {
     pub mask_words: u32,
     slots: Vec<Slot>,
     of_key: HashMap<u64, Vec<u32>>,
-    by_use: BTreeMap<u64, u32>,
+    oldest: Oldest,
 }
 
 impl Pool {
@@ -114,7 +115,7 @@ impl Pool {
             mask_words: layout.num_full().div_ceil(32) as u32,
             slots: Vec::new(),
             of_key: HashMap::new(),
-            by_use: BTreeMap::new(),
+            oldest: Oldest::default(),
         })
     }
 
@@ -132,7 +133,7 @@ impl Pool {
     pub fn find(&mut self, key: u64, step: u32, now: u64) -> Option<(u32, ValueRange)> {
         let of_key = self.of_key.get(&key)?;
         let slot = *of_key.iter().find(|slot| self.slots[**slot as usize].step == step)?;
-        self.touch(slot, now);
+        self.slots[slot as usize].last_use = now;
         Some((slot, self.slots[slot as usize].range))
     }
 
@@ -143,31 +144,22 @@ impl Pool {
         let of_key = self.of_key.get(&key).map_or(&[][..], Vec::as_slice);
         if let Some(&slot) = of_key.iter().find(|slot| self.slots[**slot as usize].last_use < since) {
             self.slots[slot as usize].step = step;
-            self.touch(slot, now);
+            self.slots[slot as usize].last_use = now;
             return Some(Found { slot, is_new: false });
         }
         let slot = if (self.slots.len() as u32) < self.shape.num_slots() {
             self.slots.push(Slot { key, step, range, last_use: now });
             self.slots.len() as u32 - 1
         } else {
-            let (&last_use, &slot) = self.by_use.first_key_value()?;
-            if last_use >= since {
-                return None;
-            }
+            let slots = &self.slots;
+            let uses = || slots.iter().enumerate().map(|(i, slot)| (slot.last_use, i as u64));
+            let slot = self.oldest.take(since, uses, |i| slots.get(i as usize).map(|s| s.last_use))? as u32;
             self.forget_key(slot);
             slot
         };
         self.of_key.entry(key).or_default().push(slot);
-        self.touch(slot, now);
         self.slots[slot as usize] = Slot { key, step, range, last_use: now };
         Some(Found { slot, is_new: true })
-    }
-
-    fn touch(&mut self, slot: u32, now: u64) {
-        let last_use = &mut self.slots[slot as usize].last_use;
-        self.by_use.remove(last_use);
-        *last_use = now;
-        self.by_use.insert(now, slot);
     }
 
     fn forget_key(&mut self, slot: u32) {

@@ -12,7 +12,7 @@ use super::device::Device;
 use super::host::{BrickData, ConstantData, NO_MASK};
 use super::page_table::CellBox;
 use super::pool::{Found, Pool, PoolShape};
-use super::raycast::{Content, Portion};
+use super::raycast::{Content, Portion, Sources};
 use super::timing::Timer;
 use super::{CodedBrick, GpuBrick, GpuError, GpuHow, GpuOptions, GpuStats, RenderError, Scene, Way};
 use crate::cpu::table::{NUM_ENTRIES, Table, premultiplied};
@@ -63,6 +63,14 @@ impl Colors {
         let at = self.levels.binary_search(&level).unwrap_or_default();
         (&self.tables[&level], (at * NUM_ENTRIES) as u32)
     }
+}
+
+/// What is at hand while portions are made.
+#[derive(Debug)]
+pub(super) struct Making<'a> {
+    pub device: &'a Device,
+    pub timer: &'a mut Timer,
+    pub stats: &'a mut GpuStats,
 }
 
 /// What lies on the GPU from picture to picture.
@@ -137,10 +145,10 @@ impl Residency {
     }
 
     /// What the ray caster reads: the pool and, where it decodes at each fetch, the bank.
-    pub fn resources(&self) -> (&Pool, Option<&wgpu::Buffer>) {
+    pub fn sources(&self) -> Sources<'_> {
         let here = self.here.as_ref().expect("made before a portion is gathered");
         let bank = if self.options.way == Way::Fetch { here.banks.raw(0) } else { None };
-        (&here.slots().pool, bank)
+        Sources { pool: &here.slots().pool, bank }
     }
 
     /// Makes room for the bricks of a list, as far as the budget goes.
@@ -161,11 +169,13 @@ impl Residency {
             GpuHow::Coded(coded) => Some((coded.key, coded.step_in_span)),
             _ => None,
         };
+        let num_held = here.slots.as_ref().map_or(0, |slots| slots.pool.shape.num_slots() as usize);
         let wanted = match self.options.way {
-            Way::Pool => bricks.iter().filter_map(coded).collect::<HashSet<_>>().len() as u64,
             Way::Fetch => 1,
+            Way::Pool if bricks.iter().filter_map(coded).count() <= num_held => num_held,
+            Way::Pool => bricks.iter().filter_map(coded).collect::<HashSet<_>>().len(),
         };
-        here.hold_slots(device, wanted)?;
+        here.hold_slots(device, wanted as u64)?;
         let has_mask = |brick: &GpuBrick| matches!(&brick.how, GpuHow::Coded(coded) if coded.mask.is_some());
         if self.options.way == Way::Pool && bricks.iter().any(has_mask) {
             here.slots_mut().pool.hold_masks(device)?;
@@ -176,55 +186,45 @@ impl Residency {
     /// Takes bricks from a list until no more fit, and makes them ready.
     ///
     /// * `drawn`: how many of the list were taken, before and after
-    #[expect(clippy::too_many_arguments, reason = "they are what a portion is made from")]
     pub fn gather(
         &mut self,
-        device: &Device,
+        making: &mut Making,
         scene: &Scene,
         bricks: &[GpuBrick],
         drawn: &mut usize,
         colors: &Colors,
-        timer: &mut Timer,
-        stats: &mut GpuStats,
     ) -> Result<Portion, GpuError> {
         let since = self.now + 1;
         let most = (self.options.memory_bytes / 8 / ENTRY_BYTES).max(1);
         let mut portion = Portion::new();
         while *drawn < bricks.len() && (portion.len() as u64) < most {
             let brick = &bricks[*drawn];
-            match self.place(device, scene, brick, colors, since, timer, stats)? {
+            match self.place(making, scene, brick, colors, since)? {
                 Placed::NoRoom => break,
-                Placed::Nothing => stats.bricks_skipped += 1,
+                Placed::Nothing => making.stats.bricks_skipped += 1,
                 Placed::Content(place, content) => {
                     match content {
-                        Content::Brick(_) => stats.bricks_drawn += 1,
-                        Content::Constant(_) => stats.bricks_constant += 1,
+                        Content::Brick(_) => making.stats.bricks_drawn += 1,
+                        Content::Constant(_) => making.stats.bricks_constant += 1,
                     }
-                    if portion.insert(place, content).is_some() {
-                        let remedy = "boxes of a draw list must not overlap";
-                        let value = format!("{:?}", brick.region);
-                        return Err(RenderError::invalid("brick's region", value, remedy).into());
-                    }
+                    portion.push((place, content));
                 }
             }
             *drawn += 1;
         }
         let now = self.now;
         let here = self.here.as_mut().expect("made before a portion is gathered");
-        stats.slots_decoded += here.flush(device, now, timer)?;
+        here.flush(making, now)?;
         Ok(portion)
     }
 
-    #[expect(clippy::too_many_arguments, reason = "they are what a portion is made from")]
     fn place(
         &mut self,
-        device: &Device,
+        making: &mut Making,
         scene: &Scene,
         brick: &GpuBrick,
         colors: &Colors,
         since: u64,
-        timer: &mut Timer,
-        stats: &mut GpuStats,
     ) -> Result<Placed, GpuError> {
         let place = CellBox::of_region(brick.region, scene.layout.edge)?;
         if (0..3).any(|a| brick.region[0][a] >= (scene.grid.dims[a] - 1) as f64) {
@@ -245,11 +245,11 @@ impl Residency {
                 self.now += 1;
                 let way = self.options.way;
                 let here = self.here.as_mut().expect("made before a portion is gathered");
-                match here.samples(device, coded, way, is_seen, since, self.now, timer, stats)? {
+                match here.samples(making, coded, way, is_seen, [since, self.now])? {
                     Err(placed) => Ok(placed),
                     Ok(samples) => {
                         let mut data = brick_of(scene, brick, coded, here, &samples);
-                        let is_float = way == Way::Pool && !device.info.has_unorm;
+                        let is_float = way == Way::Pool && !making.device.info.has_unorm;
                         data.index_from_texel = index_from_texel(table, samples.range, is_float);
                         data.colors = first_color;
                         Ok(Placed::Content(place, Content::Brick(data)))
@@ -326,24 +326,24 @@ impl Here {
     }
 
     /// Decodes what was noted.
-    fn flush(&mut self, device: &Device, now: u64, timer: &mut Timer) -> Result<usize, GpuError> {
-        let Some(slots) = &mut self.slots else { return Ok(0) };
+    fn flush(&mut self, making: &mut Making, now: u64) -> Result<(), GpuError> {
+        let Some(slots) = &mut self.slots else { return Ok(()) };
         slots.submitted = now + 1;
-        slots.decoder.flush(device, &self.banks, &slots.pool, timer)
+        let Making { device, timer, stats } = making;
+        stats.slots_decoded += slots.decoder.flush(device, &self.banks, &slots.pool, timer)?;
+        Ok(())
     }
 
     /// Where the samples of a brick are, or what becomes of it instead.
-    #[expect(clippy::too_many_arguments, reason = "they are what a portion is made from")]
+    ///
+    /// * `since`, `now`: the moment at which the portion began, and that of this use
     fn samples(
         &mut self,
-        device: &Device,
+        making: &mut Making,
         coded: &CodedBrick,
         way: Way,
         is_seen: impl Fn(ValueRange) -> bool,
-        since: u64,
-        now: u64,
-        timer: &mut Timer,
-        stats: &mut GpuStats,
+        [since, now]: [u64; 2],
     ) -> Result<Result<Samples, Placed>, GpuError> {
         let CodedBrick { key, step_in_span: step, .. } = *coded;
         if way == Way::Pool
@@ -354,7 +354,7 @@ impl Here {
         }
         check_step(&coded.payload, step)?;
         let keeps_all_since = if way == Way::Fetch { Some(since) } else { None };
-        let Some(place) = self.payload(device, coded, keeps_all_since, now, timer, stats)? else {
+        let Some(place) = self.payload(making, coded, keeps_all_since, now)? else {
             return Ok(Err(Placed::NoRoom));
         };
         if !is_seen(place.range) {
@@ -374,7 +374,7 @@ impl Here {
         };
         decoder.push(Job { slot, bank: place.bank, step }, place.word);
         if let (true, Some(mask)) = (is_new, &coded.mask) {
-            pool.upload_mask(device, slot, &mask_words(mask, &layout)?);
+            pool.upload_mask(making.device, slot, &mask_words(mask, &layout)?);
         }
         Ok(Ok(self.slots().samples(slot, range)))
     }
@@ -383,12 +383,10 @@ impl Here {
     /// a moment may go.
     fn payload(
         &mut self,
-        device: &Device,
+        making: &mut Making,
         coded: &CodedBrick,
         keeps_all_since: Option<u64>,
         now: u64,
-        timer: &mut Timer,
-        stats: &mut GpuStats,
     ) -> Result<Option<Place>, GpuError> {
         if let Some(place) = self.banks.get(coded.key, now) {
             return Ok(Some(place));
@@ -398,8 +396,8 @@ impl Here {
             packed.append_mask(mask, &self.layout)?;
         }
         loop {
-            if let Some(place) = self.banks.put(device, coded.key, &packed, now)? {
-                stats.payloads_uploaded += 1;
+            if let Some(place) = self.banks.put(making.device, coded.key, &packed, now)? {
+                making.stats.payloads_uploaded += 1;
                 return Ok(Some(place));
             }
             let before = keeps_all_since.unwrap_or(self.slots().submitted);
@@ -408,14 +406,14 @@ impl Here {
             }
             if self.banks.is_empty() {
                 let needed = 4 * packed.words.len() as u64;
-                let (given, what) = (device.budget.limit(), "a payload");
+                let (given, what) = (making.device.budget.limit(), "a payload");
                 let least = needed.saturating_mul(5 * 16).div_ceil(2 * 9) + 16;
                 return Err(GpuError::MemoryTooSmall { given, what, needed, least: least.max(given + 1) });
             }
             if keeps_all_since.is_some() {
                 return Ok(None);
             }
-            stats.slots_decoded += self.flush(device, now, timer)?;
+            self.flush(making, now)?;
         }
     }
 }

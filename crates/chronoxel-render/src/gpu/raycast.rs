@@ -1,9 +1,10 @@
 //! The ray caster on the GPU: its pipelines, and what it is given for a picture.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_core::{PictureRays, Projection, UniformGrid};
+use rayon::prelude::*;
 
 use super::device::{Device, storage, uniform};
 use super::host::{BrickData, ConstantData, LightingData, ViewData};
@@ -21,8 +22,9 @@ pub(super) enum Content {
     Brick(BrickData),
 }
 
-/// What is drawn at once: boxes that do not overlap, all of their slots resident.
-pub(super) type Portion = BTreeMap<CellBox, Content>;
+/// What is drawn at once, all of its slots resident: boxes that do not overlap, in an order that does not depend on the
+/// view.
+pub(super) type Portion = Vec<(CellBox, Content)>;
 
 /// Rows of the picture, from first to last, of which pixels are held at a time.
 #[derive(Debug)]
@@ -48,11 +50,24 @@ pub(super) struct Caster {
     picture: Option<Picture>,
 }
 
-/// How rays are cast.
+/// What a portion is drawn for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct How {
+pub(super) struct Shot<'a> {
+    pub scene: &'a Scene,
     pub way: Way,
     pub interpolation: Interpolation,
+    /// First row, and number of rows.
+    pub rows: [usize; 2],
+    /// Whether nothing was drawn of those rows before.
+    pub is_first: bool,
+}
+
+/// Where samples are found.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sources<'a> {
+    pub pool: &'a Pool,
+    /// Where they are decoded at each fetch.
+    pub bank: Option<&'a wgpu::Buffer>,
 }
 
 impl Caster {
@@ -129,31 +144,24 @@ impl Caster {
     }
 
     /// Draws a portion behind what was drawn before.
-    ///
-    /// * `rows`: first row, and number of rows
-    #[expect(clippy::too_many_arguments, reason = "they are what a picture consists of")]
     pub fn draw(
         &mut self,
         device: &Device,
-        scene: &Scene,
-        how: How,
+        shot: Shot,
         portion: &Portion,
-        rows: [usize; 2],
-        is_first: bool,
-        pool: &Pool,
-        bank: Option<&wgpu::Buffer>,
+        sources: Sources,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
+        let Shot { scene, way, interpolation, rows, is_first } = shot;
         let root_level = self.set_lists(device, scene, portion)?;
         let mut view = view_of(scene, rows);
         view.root_level = root_level;
         view.is_first = u32::from(is_first);
-        view.per_texel = pool.shape.texels().map(|n| 1.0 / n as f32);
+        view.per_texel = sources.pool.shape.texels().map(|n| 1.0 / n as f32);
         device.upload(&self.view.raw, 0, bytes_of(&view));
-        let key =
-            [scene.lighting.is_some(), how.way == Way::Fetch, how.interpolation == Interpolation::Color];
+        let key = [scene.lighting.is_some(), way == Way::Fetch, interpolation == Interpolation::Color];
         self.hold_pipeline(device, key)?;
-        let group = self.bind(device, pool, bank);
+        let group = self.bind(device, sources);
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         let span = timer.begin(&mut encoder, Span::Render);
         let mut pass = encoder.begin_compute_pass(&Default::default());
@@ -168,6 +176,8 @@ impl Caster {
 
     /// Uploads what is in the boxes of a portion; returns the level of the page table's root.
     fn set_lists(&mut self, device: &Device, scene: &Scene, portion: &Portion) -> Result<u32, GpuError> {
+        let mut portion = portion.clone();
+        portion.sort_unstable_by_key(|(place, _)| *place);
         let (mut bricks, mut constants) = (Vec::new(), Vec::new());
         let entries = portion.iter().map(|(place, content)| {
             let entry = match content {
@@ -182,7 +192,7 @@ impl Caster {
             };
             (*place, entry)
         });
-        let entries = entries.collect();
+        let entries: Vec<_> = entries.collect();
         let num_cells = cells_of(&scene.grid, scene.layout.edge);
         let table = PageTable::new(&entries, num_cells)?;
         self.nodes.set(device, &table.words)?;
@@ -207,7 +217,7 @@ impl Caster {
         Ok(())
     }
 
-    fn bind(&self, device: &Device, pool: &Pool, bank: Option<&wgpu::Buffer>) -> wgpu::BindGroup {
+    fn bind(&self, device: &Device, Sources { pool, bank }: Sources) -> wgpu::BindGroup {
         let masks = pool.masks.as_ref().unwrap_or(&self.nothing);
         let picture = self.picture.as_ref().expect("room for a picture is made before it is drawn");
         let resources = [
@@ -238,8 +248,9 @@ impl Caster {
         encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &picture.read.raw, 0, bytes);
         device.queue.submit([encoder.finish()]);
         device.read(&picture.read.raw, bytes, |bytes| {
-            let gathered = cast_slice::<u8, [f32; 4]>(bytes);
-            pixels.extend(gathered.iter().map(|[r, g, b, transmittance]| [*r, *g, *b, 1.0 - transmittance]));
+            let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
+            let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
+            pixels.par_extend(gathered.with_min_len(4096).map(pixel));
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Slices on the GPU: polygons of the bricks, back to front, blended into the picture.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 
 use bytemuck::{bytes_of, cast_slice};
@@ -9,11 +10,10 @@ use super::device::{Device, storage, uniform};
 use super::host::{CONSTANT, PlanesData, VertexData, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::CellBox;
-use super::pool::Pool;
-use super::raycast::{Content, How, Portion, start_depth, view_of};
+use super::raycast::{Content, Portion, Shot, Sources, start_depth, view_of};
 use super::target::{Target, format_of};
 use super::timing::{Span, Timer};
-use super::{GpuBrick, GpuError, Interpolation, Scene, Way, import};
+use super::{GpuError, Interpolation, Scene, Way, import};
 use crate::cpu::table::NUM_ENTRIES;
 use crate::{SliceList, SliceOrder, Slicer};
 
@@ -83,6 +83,14 @@ impl Polygons {
     }
 }
 
+/// With what polygons are drawn.
+struct Pass {
+    key: [bool; 3],
+    group: wgpu::BindGroup,
+    /// Whether the picture holds what was drawn before, or nothing, rather than another picture.
+    is_clear: bool,
+}
+
 /// A brick to cut.
 struct Cut {
     region: [[f64; 3]; 2],
@@ -138,79 +146,64 @@ impl Slicing {
         self.colors.set(device, colors)
     }
 
-    /// Draws a portion in front of what was drawn before.
-    ///
-    /// * `bricks`: those of the portion, back to front
-    /// * `rows`: first row, and number of rows
-    #[expect(clippy::too_many_arguments, reason = "they are what a picture consists of")]
+    /// Draws a portion, whose bricks are in order from back to front, in front of what was drawn before.
     pub fn draw(
         &mut self,
         device: &Device,
-        scene: &Scene,
-        how: How,
+        shot: Shot,
         portion: &Portion,
-        bricks: &[GpuBrick],
-        rows: [usize; 2],
-        is_first: bool,
-        pool: &Pool,
-        bank: Option<&wgpu::Buffer>,
+        sources: Sources,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
+        let Shot { scene, way, interpolation, rows, is_first } = shot;
         let mut view = view_of(scene, rows);
-        view.per_texel = pool.shape.texels().map(|n| 1.0 / n as f32);
-        let planes = planes_of(scene, rows);
+        view.per_texel = sources.pool.shape.texels().map(|n| 1.0 / n as f32);
         device.upload(&self.view.raw, 0, bytes_of(&view));
-        device.upload(&self.planes.raw, 0, bytes_of(&planes));
-        let cuts = self.set_lists(device, scene, portion, bricks)?;
-        let key =
-            [scene.lighting.is_some(), how.way == Way::Fetch, how.interpolation == Interpolation::Color];
+        device.upload(&self.planes.raw, 0, bytes_of(&planes_of(scene, rows)));
+        let cuts = self.set_lists(device, scene, portion)?;
+        let key = [scene.lighting.is_some(), way == Way::Fetch, interpolation == Interpolation::Color];
         self.hold_pipeline(device, key)?;
-        let group = self.bind(device, pool, bank);
-        let mut is_clear = !is_first;
-        let mut slicers = BTreeMap::new();
-        let mut list = SliceList::default();
-        for cut in &cuts {
-            let slicer = match slicers.entry(cut.level) {
-                std::collections::btree_map::Entry::Occupied(slicer) => slicer.into_mut(),
-                std::collections::btree_map::Entry::Vacant(place) => {
-                    place.insert(Slicer::of_camera_in_voxels(
-                        &scene.camera,
-                        &scene.grid,
-                        scene.step_length_at(cut.level),
-                        SliceOrder::BackToFront,
-                    )?)
-                }
-            };
+        let mut pass = Pass { key, group: self.bind(device, sources), is_clear: !is_first };
+        self.cut(device, scene, &cuts, &mut pass, timer)?;
+        if !pass.is_clear || !self.polygons.indices.is_empty() {
+            self.flush(device, &mut pass, timer);
+        }
+        Ok(())
+    }
+
+    /// Cuts bricks into polygons, and draws these whenever there is no room for more.
+    fn cut(
+        &mut self,
+        device: &Device,
+        scene: &Scene,
+        cuts: &[Cut],
+        pass: &mut Pass,
+        timer: &mut Timer,
+    ) -> Result<(), GpuError> {
+        let (start, mut slicers, mut list) = (start_of(scene), BTreeMap::new(), SliceList::default());
+        for cut in cuts {
+            if let Entry::Vacant(place) = slicers.entry(cut.level) {
+                let (distance, order) = (scene.step_length_at(cut.level), SliceOrder::BackToFront);
+                place.insert(Slicer::of_camera_in_voxels(&scene.camera, &scene.grid, distance, order)?);
+            }
             list.clear();
-            slicer.slice(cut.region, &mut list)?;
+            slicers[&cut.level].slice(cut.region, &mut list)?;
             for (number, slice) in list.slices().iter().enumerate() {
                 let polygon = list.polygon(number);
                 if !self.polygons.has_room_for(polygon) {
-                    self.flush(device, key, &group, &mut is_clear, timer);
+                    self.flush(device, pass, timer);
                 }
-                let depth = f64::from(*slice) * (1u64 << cut.level) as f64 - start_of(scene);
+                let depth = f64::from(*slice) * (1u64 << cut.level) as f64 - start;
                 self.polygons.push(polygon, depth as f32, cut.content);
             }
-        }
-        if !is_clear || !self.polygons.indices.is_empty() {
-            self.flush(device, key, &group, &mut is_clear, timer);
         }
         Ok(())
     }
 
     /// Uploads what is in the boxes of a portion; returns what is to be cut, in order.
-    fn set_lists(
-        &mut self,
-        device: &Device,
-        scene: &Scene,
-        portion: &Portion,
-        list: &[GpuBrick],
-    ) -> Result<Vec<Cut>, GpuError> {
-        let (mut bricks, mut constants, mut cuts) = (Vec::new(), Vec::new(), Vec::new());
-        for brick in list {
-            let Some(content) = portion.get(&CellBox::of_region(brick.region, scene.layout.edge)?) else {
-                continue;
-            };
+    fn set_lists(&mut self, device: &Device, scene: &Scene, portion: &Portion) -> Result<Vec<Cut>, GpuError> {
+        let (mut bricks, mut constants) = (Vec::new(), Vec::new());
+        let cuts = portion.iter().map(|(place, content)| {
             let (scale, content) = match content {
                 Content::Brick(brick) => {
                     bricks.push(*brick);
@@ -221,32 +214,23 @@ impl Slicing {
                     (constant.scale, CONSTANT | (constants.len() as u32 - 1))
                 }
             };
-            let [low, high] = brick.region;
-            let high = std::array::from_fn(|a| high[a].min((scene.grid.dims[a] - 1) as f64));
-            let level = (1.0 / scale).log2().round() as u8;
-            cuts.push(Cut { region: [low, high], level, content });
-        }
+            Cut { region: region_of(scene, place), level: (1.0 / scale).log2().round() as u8, content }
+        });
+        let cuts = cuts.collect();
         self.bricks.set(device, cast_slice(&bricks))?;
         self.constants.set(device, cast_slice(&constants))?;
         Ok(cuts)
     }
 
     /// Draws the polygons that were gathered.
-    fn flush(
-        &mut self,
-        device: &Device,
-        key: [bool; 3],
-        group: &wgpu::BindGroup,
-        is_clear: &mut bool,
-        timer: &mut Timer,
-    ) {
+    fn flush(&mut self, device: &Device, of: &mut Pass, timer: &mut Timer) {
         let polygons = &mut self.polygons;
         device.upload(&polygons.vertex_buffer.raw, 0, cast_slice(&polygons.vertices));
         device.upload(&polygons.index_buffer.raw, 0, cast_slice(&polygons.indices));
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         let span = timer.begin(&mut encoder, Span::Render);
         let target = self.target.as_ref().expect("room for a picture is made before it is drawn");
-        let load = match *is_clear {
+        let load = match of.is_clear {
             true => wgpu::LoadOp::Load,
             false => wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
         };
@@ -260,8 +244,8 @@ impl Slicing {
             })],
             ..Default::default()
         });
-        pass.set_pipeline(&self.pipelines[&key]);
-        pass.set_bind_group(0, group, &[]);
+        pass.set_pipeline(&self.pipelines[&of.key]);
+        pass.set_bind_group(0, &of.group, &[]);
         pass.set_vertex_buffer(0, polygons.vertex_buffer.raw.slice(..));
         pass.set_index_buffer(polygons.index_buffer.raw.slice(..), wgpu::IndexFormat::Uint32);
         pass.draw_indexed(0..polygons.indices.len() as u32, 0, 0..1);
@@ -270,7 +254,7 @@ impl Slicing {
         device.queue.submit([encoder.finish()]);
         polygons.vertices.clear();
         polygons.indices.clear();
-        *is_clear = true;
+        of.is_clear = true;
     }
 
     fn hold_pipeline(&mut self, device: &Device, key: [bool; 3]) -> Result<(), GpuError> {
@@ -281,7 +265,7 @@ impl Slicing {
         Ok(())
     }
 
-    fn bind(&self, device: &Device, pool: &Pool, bank: Option<&wgpu::Buffer>) -> wgpu::BindGroup {
+    fn bind(&self, device: &Device, Sources { pool, bank }: Sources) -> wgpu::BindGroup {
         let masks = pool.masks.as_ref().unwrap_or(&self.nothing);
         let resources = [
             (0, self.view.raw.as_entire_binding()),
@@ -387,6 +371,15 @@ fn pipeline_of(
             cache: None,
         })
     })
+}
+
+/// What of a box lies in the grid, level-0 voxels.
+fn region_of(scene: &Scene, place: &CellBox) -> [[f64; 3]; 2] {
+    let edge = scene.layout.edge as f64;
+    let low = place.low.map(|c| f64::from(c) * edge);
+    let size = edge * (1u64 << place.level) as f64;
+    let high = std::array::from_fn(|a| (low[a] + size).min((scene.grid.dims[a] - 1) as f64));
+    [low, high]
 }
 
 /// The depth where rays start, in step lengths.

@@ -53,6 +53,15 @@ fn accumulate_constant(opacity: f32, log_transmittance: f32, num_samples: f32) -
     [-exp_m1(x) / opacity, x.exp()]
 }
 
+/// `shared/opacity.wgsl`
+fn log_transmittance_of(a: f32) -> f32 {
+    if a > 0.125 {
+        return (1.0 - a).ln();
+    }
+    let series = 1.0 + a * (1.0 / 2.0 + a * (1.0 / 3.0 + a * (1.0 / 4.0 + a * (1.0 / 5.0 + a / 6.0))));
+    -a * series
+}
+
 /// `shared/lighting.wgsl`
 fn power(base: f32, exponent: u32) -> f32 {
     let (mut result, mut square, mut rest) = (1.0, base, exponent);
@@ -88,6 +97,7 @@ enum Function {
     HeadlightTerms,
     ColorIndex,
     DecodeUnit,
+    LogTransmittanceOf,
     Locate,
 }
 
@@ -194,6 +204,23 @@ fn runs_of_equal_samples() {
         let expected = accumulate_constant(*opacity, *log_transmittance, *n);
         assert_close(&format!("weight {opacity} {n}"), weight, expected[0], 3e-6 * expected[0]);
         assert_close(&format!("transmittance {opacity} {n}"), transmittance, expected[1], 2e-6);
+    }
+}
+
+#[test]
+fn opacities_of_longer_ways_keep_what_is_small() {
+    let rows: Vec<[f32; 1]> = (0..400).map(|i| [10f32.powf(i as f32 / 60.0 - 6.66)]).collect();
+    for [opacity] in &rows {
+        let exact = (-f64::from(*opacity)).ln_1p();
+        let found = f64::from(log_transmittance_of(*opacity));
+        assert!((found - exact).abs() <= 2e-6 * exact.abs(), "{opacity}: {found} in place of {exact}");
+    }
+    let Some(values) = call(Function::LogTransmittanceOf, &Memory::default(), &inputs_of(&rows)) else {
+        return;
+    };
+    for ([opacity], [value, ..]) in rows.iter().zip(values) {
+        let expected = log_transmittance_of(*opacity);
+        assert_close(&format!("ln(1 - {opacity})"), value, expected, 1e-5 * expected.abs());
     }
 }
 
@@ -305,18 +332,23 @@ fn decoding() {
     }
     let memory = Memory { bank, ..Memory::default() };
     let Some(values) = call(Function::DecodeUnit, &memory, &inputs_of(&rows)) else { return };
-    for ([_, step, sample], [value, ..]) in rows.iter().zip(values) {
-        let expected = decode_unit(&memory.bank, 5, *step as u32, *sample as usize);
-        assert_close(&format!("sample {sample} at {step}"), value, expected, 2e-7);
+    for ([_, step, sample], [value, same, next, _]) in rows.iter().zip(values) {
+        let expected = |at| decode_unit(&memory.bank, 5, *step as u32, at);
+        let (sample, what) = (*sample as usize, format!("sample {sample} at {step}"));
+        assert_close(&what, value, expected(sample), 2e-7);
+        assert_close(&what, same, value, 1e-7);
+        if sample + 1 < layout.num_full() {
+            assert_close(&format!("{what} and the next"), next, expected(sample + 1), 2e-7);
+        }
     }
 }
 
 #[test]
 fn location() {
-    let mut boxes = std::collections::BTreeMap::from([
+    let mut boxes = vec![
         (CellBox { low: [4, 0, 0], level: 2 }, Entry::Constant(3)),
         (CellBox { low: [0, 2, 4], level: 1 }, Entry::Brick(4)),
-    ]);
+    ];
     boxes.extend(
         (0..64)
             .filter(|i| i % 5 != 0)

@@ -39,9 +39,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let row = id.x / batch.pairs;
     let payload = payloads[job.slot];
     let first = row * batch.full_edge + 2u * pair;
-    var values = vec2<f32>(decode_unit(payload, job.step, first), 0.0);
-    if 2u * pair + 1u < batch.full_edge {
-        values.y = decode_unit(payload, job.step, first + 1u);
+    var values = decode_units(payload, job.step, first);
+    // The last sample of a row has none beside it.
+    if 2u * pair + 1u == batch.full_edge {
+        values.y = 0.0;
     }
     let line = job.slot / batch.slots_along - batch.first_line;
     let column = (job.slot % batch.slots_along) * batch.pairs + pair;

@@ -114,20 +114,31 @@ fn fetch(brick: Brick, place: vec3<i32>) -> f32 {
 
 // The value at a place, interpolated.
 fn value_at(brick: Brick, place: vec3<f32>) -> f32 {
-    if !FETCH {
-        return textureSampleLevel(pool, pool_sampler, (brick.texel + place + 0.5) * view.per_texel, 0.0).x;
+    if FETCH {
+        return fetched_value(brick, place);
     }
-    let cell = floor(place);
-    let weight = place - cell;
-    let at = vec3<i32>(cell);
-    let near = face_at(brick, at, weight.xy);
-    let far = face_at(brick, at + vec3<i32>(0, 0, 1), weight.xy);
-    return mix(near, far, weight.z);
+    return textureSampleLevel(pool, pool_sampler, (brick.texel + place + 0.5) * view.per_texel, 0.0).x;
 }
 
-fn face_at(brick: Brick, at: vec3<i32>, weight: vec2<f32>) -> f32 {
-    let low = edge_at(brick, at, weight.x);
-    return mix(low, edge_at(brick, at + vec3<i32>(0, 1, 0), weight.x), weight.y);
+// The same from the eight samples around it.
+fn fetched_value(brick: Brick, place: vec3<f32>) -> f32 {
+    let cell = floor(place);
+    var value = 0.0;
+    for (var i = 0u; i < 8u; i++) {
+        let corner = corner_of(i);
+        value += corner_weight(place - cell, corner) * fetch(brick, vec3<i32>(cell) + vec3<i32>(corner));
+    }
+    return value;
+}
+
+// A corner of a cell, bit 0 being x, bit 1 y, bit 2 z.
+fn corner_of(number: u32) -> vec3<u32> {
+    return vec3<u32>(number, number >> 1u, number >> 2u) & vec3<u32>(1u);
+}
+
+fn corner_weight(weight: vec3<f32>, corner: vec3<u32>) -> f32 {
+    let w = select(1.0 - weight, weight, corner == vec3<u32>(1u));
+    return w.x * w.y * w.z;
 }
 
 fn classify(brick: Brick, value: f32) -> vec4<f32> {
@@ -139,12 +150,11 @@ fn color_at(brick: Brick, place: vec3<f32>) -> vec4<f32> {
         return classify(brick, value_at(brick, place));
     }
     let cell = floor(place);
-    let weight = place - cell;
     var color = vec4<f32>(0.0);
     for (var i = 0u; i < 8u; i++) {
-        let corner = vec3<u32>(i, i >> 1u, i >> 2u) & vec3<u32>(1u);
-        let w = select(1.0 - weight, weight, corner == vec3<u32>(1u));
-        color += w.x * w.y * w.z * classify(brick, fetch(brick, vec3<i32>(cell) + vec3<i32>(corner)));
+        let corner = corner_of(i);
+        let of_corner = classify(brick, fetch(brick, vec3<i32>(cell) + vec3<i32>(corner)));
+        color += corner_weight(place - cell, corner) * of_corner;
     }
     return color;
 }
@@ -164,39 +174,34 @@ fn difference_at(brick: Brick, place: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// The same from the 32 samples that it takes, each fetched once. Written out: software drivers bound the number of
-// iterations of all loops together.
+// The same from the 32 samples that it takes, each fetched once: rows along x, each weighed for the values it is a part
+// of, and against those before and behind. In a loop, because code that decodes 32 times takes minutes to compile.
 fn fetched_difference(brick: Brick, place: vec3<f32>) -> vec3<f32> {
     let cell = floor(place);
     let w = place - cell;
-    let at = vec3<i32>(cell);
-    let a = row_at(brick, at, w.x);
-    let b = row_at(brick, at + vec3<i32>(0, 1, 0), w.x);
-    let c = row_at(brick, at + vec3<i32>(0, 0, 1), w.x);
-    let d = row_at(brick, at + vec3<i32>(0, 1, 1), w.x);
-    let below = vec2<f32>(edge_at(brick, at - vec3<i32>(0, 1, 0), w.x), edge_at(brick, at + vec3<i32>(0, -1, 1), w.x));
-    let above = vec2<f32>(edge_at(brick, at + vec3<i32>(0, 2, 0), w.x), edge_at(brick, at + vec3<i32>(0, 2, 1), w.x));
-    let near = vec2<f32>(edge_at(brick, at - vec3<i32>(0, 0, 1), w.x), edge_at(brick, at + vec3<i32>(0, 1, -1), w.x));
-    let far = vec2<f32>(edge_at(brick, at + vec3<i32>(0, 0, 2), w.x), edge_at(brick, at + vec3<i32>(0, 1, 2), w.x));
-    let along_y = mix(vec2<f32>(b.x, d.x) - below, above - vec2<f32>(a.x, c.x), w.y);
-    let along_z = mix(vec2<f32>(c.x, d.x) - near, far - vec2<f32>(a.x, b.x), w.z);
-    return vec3<f32>(
-        mix(mix(a.y, b.y, w.y), mix(c.y, d.y, w.y), w.z),
-        mix(along_y.x, along_y.y, w.z),
-        mix(along_z.x, along_z.y, w.y),
-    );
-}
-
-// Two neighbours along x, interpolated, and the differences of their neighbours.
-fn row_at(brick: Brick, at: vec3<i32>, weight: f32) -> vec2<f32> {
-    let before = fetch(brick, at - vec3<i32>(1, 0, 0));
-    let low = fetch(brick, at);
-    let high = fetch(brick, at + vec3<i32>(1, 0, 0));
-    let after = fetch(brick, at + vec3<i32>(2, 0, 0));
-    return vec2<f32>(mix(low, high, weight), mix(high - before, after - low, weight));
-}
-
-// Two neighbours along x, interpolated.
-fn edge_at(brick: Brick, at: vec3<i32>, weight: f32) -> f32 {
-    return mix(fetch(brick, at), fetch(brick, at + vec3<i32>(1, 0, 0)), weight);
+    var value_y = vec4<f32>(0.0, 1.0 - w.y, w.y, 0.0);
+    var value_z = vec4<f32>(0.0, 1.0 - w.z, w.z, 0.0);
+    var slope_y = vec4<f32>(w.y - 1.0, -w.y, 1.0 - w.y, w.y);
+    var slope_z = vec4<f32>(w.z - 1.0, -w.z, 1.0 - w.z, w.z);
+    var difference = vec3<f32>(0.0);
+    for (var i = 0; i < 16; i++) {
+        let y = i & 3;
+        let z = i >> 2u;
+        let is_inner = vec2<bool>(y == 1 || y == 2, z == 1 || z == 2);
+        if !any(is_inner) {
+            continue;
+        }
+        let at = vec3<i32>(cell) + vec3<i32>(0, y - 1, z - 1);
+        let low = fetch(brick, at);
+        let high = fetch(brick, at + vec3<i32>(1, 0, 0));
+        let row = mix(low, high, w.x);
+        difference.y += row * slope_y[y] * value_z[z];
+        difference.z += row * value_y[y] * slope_z[z];
+        if all(is_inner) {
+            let before = fetch(brick, at - vec3<i32>(1, 0, 0));
+            let after = fetch(brick, at + vec3<i32>(2, 0, 0));
+            difference.x += mix(high - before, after - low, w.x) * value_y[y] * value_z[z];
+        }
+    }
+    return difference;
 }

@@ -4,6 +4,7 @@
 #import "shared/decode.wgsl"
 #import "shared/lighting.wgsl"
 #import "shared/locate.wgsl"
+#import "shared/opacity.wgsl"
 
 // Which function it is, in the order of `Function` in `twins.rs`.
 override FUNCTION: u32;
@@ -45,7 +46,11 @@ fn call(arguments: Arguments) -> vec4<f32> {
             return vec4<f32>(f32(color_index(a.x, a.yz, 4096u)));
         }
         case 5u: {
-            return vec4<f32>(decode_unit(u32(a.x), u32(a.y), u32(a.z)));
+            let next = decode_units(u32(a.x), u32(a.y), u32(a.z));
+            return vec4<f32>(decode_unit(u32(a.x), u32(a.y), u32(a.z)), next, 0.0);
+        }
+        case 6u: {
+            return vec4<f32>(log_transmittance_of(a.x));
         }
         default: {
             let found = locate(vec3<i32>(a.xyz), u32(a.w));
