@@ -74,7 +74,7 @@ fn a_still_camera_composites_what_stays() {
     let bytes = number(&kept, "image_bytes_peak");
     assert!(bytes > 0.0 && bytes < 64e6);
     let csv = std::fs::read_to_string(folder.join("frames.csv")).unwrap();
-    assert!(csv.lines().next().unwrap().ends_with(",composited_bricks"));
+    assert!(csv.lines().next().unwrap().contains(",composited_bricks"));
     let turning = play("--image-cache 64MiB --orbit 90");
     assert_eq!(number(&turning, "composited_per_frame"), 0.0);
     done(folder, "movie run.cxl -o 'plain/{frame}.png' --size 80x60 --tf filled -q");
