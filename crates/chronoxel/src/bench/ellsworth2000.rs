@@ -70,12 +70,18 @@ impl PictureSizes {
     }
 }
 
-/// The sources to measure: the simulation, and the user's; a simulation of the same name takes its place.
+/// The sources to measure: the simulation, Hurricane Isabel where the folder that `CHRONOXEL_DATA` names has `isabel/*.vti`, and the user's; what
+/// the user names takes the place of its like.
 pub fn sources(users: &[String], size: Size) -> Vec<String> {
-    let is_shock = |source: &String| source.starts_with("sim:shockbubble");
-    let built_in =
-        if users.iter().any(is_shock) { None } else { Some(SHOCK[usize::from(size == Size::Full)]) };
-    built_in.map(str::to_owned).into_iter().chain(users.iter().cloned()).collect()
+    let named = |part: &str| users.iter().any(|source| source.contains(part));
+    let shock = SHOCK[usize::from(size == Size::Full)].to_owned();
+    let built_in = [(!named("sim:shockbubble")).then_some(shock), hurricane().filter(|_| !named("isabel"))];
+    built_in.into_iter().flatten().chain(users.iter().cloned()).collect()
+}
+
+fn hurricane() -> Option<String> {
+    let folder = Path::new(&std::env::var_os("CHRONOXEL_DATA")?).join("isabel");
+    folder.is_dir().then(|| folder.join("*.vti").to_string_lossy().into_owned())
 }
 
 /// Measures the sources. `progress` is told what is done and what there is to do.
