@@ -1,7 +1,7 @@
 //! Brick spans: what the cover of a node says of one run of time steps.
 
 /// Where the bytes of a payload or a mask lie: row and node of the array of its level and window.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PayloadAddress {
     /// Row of the span that first had these bytes (see the store's `row(start, window)`).
     pub row: u32,

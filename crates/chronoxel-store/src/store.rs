@@ -28,10 +28,10 @@ use crate::{
     writer::nodes_file,
 };
 
-/// Bytes of spans and of shard indexes that a store keeps, each.
-const CACHE_BYTES: usize = 64 << 20;
-/// Bytes of statistics that it keeps: a row of every time level, of up to 30,000 nodes and ten levels.
-const STATISTICS_CACHE_BYTES: usize = 16 << 20;
+/// Bytes of spans, of shard indexes and of statistics that a store keeps, unless told otherwise.
+const CACHE_BYTES: usize = 144 << 20;
+/// What remembering which folders of spans there are may take.
+const FOLDER_BYTES: usize = 1 << 20;
 /// What remembering that something is absent may take.
 const ABSENT_BYTES: usize = 64;
 /// Files that a store keeps open.
@@ -64,6 +64,15 @@ impl Store {
     /// # Errors
     /// [`StoreError`] naming the file, the field and the value.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
+        Self::open_within(path, CACHE_BYTES)
+    }
+
+    /// [`Self::open`], keeping at most `cache_bytes` of what it read of spans, shard indexes and statistics.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_within(path: &Path, cache_bytes: usize) -> Result<Self, StoreError> {
+        let share = |ninths: usize| cache_bytes.min(CACHE_BYTES) / 9 * ninths;
         let header = read_header(path)?;
         let mut levels = Vec::new();
         for (level, geometry) in header.geometry().iter().enumerate() {
@@ -75,10 +84,10 @@ impl Store {
             root: path.to_owned(),
             header,
             tree,
-            spans: ByteCache::new(CACHE_BYTES, usize::MAX),
-            span_folders: ByteCache::new(CACHE_BYTES, usize::MAX),
-            shards: ByteCache::new(CACHE_BYTES, MAX_OPEN_FILES),
-            statistics: ByteCache::new(STATISTICS_CACHE_BYTES, usize::MAX),
+            spans: ByteCache::new(share(4), usize::MAX),
+            span_folders: ByteCache::new(FOLDER_BYTES, usize::MAX),
+            shards: ByteCache::new(share(4), MAX_OPEN_FILES),
+            statistics: ByteCache::new(share(1), usize::MAX),
             bytes_read: AtomicU64::new(0),
         })
     }

@@ -1,9 +1,12 @@
 //! From a draw list to bricks that can be drawn: what is resident, what is read, decoded and kept.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+};
 
 use anyhow::bail;
-use chronoxel_codec::{Indices, Payload, Stage, Table, decode_resident};
+use chronoxel_codec::decode_resident;
 use chronoxel_core::{
     BitMask, BrickLayout, NodeId, Octree, PayloadAddress, ResidentBrick, SpanKind, SpanRecord,
 };
@@ -12,7 +15,10 @@ use chronoxel_store::{Store, StoreError};
 use chronoxel_stream::{DrawItem, How};
 use rayon::prelude::*;
 
-use super::{BrickCounts, Faults, Session};
+use super::{
+    BrickCounts, Faults, Session,
+    held::{Held, HeldKey, read_held},
+};
 use crate::blend::brick_between;
 
 /// What makes two resident bricks the same.
@@ -44,26 +50,6 @@ impl BrickKey {
             SpanKind::Coded { class, at } => Content::Coded { class, at, step_in_span: step - record.start },
         };
         Some(Self { level, window: record.window, content, mask: record.mask })
-    }
-}
-
-/// What makes two payloads the same; those of a single step are not kept, as their bricks are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct PayloadKey {
-    level: u8,
-    window: u32,
-    class: u8,
-    at: PayloadAddress,
-}
-
-impl PayloadKey {
-    fn new(level: u8, record: &SpanRecord) -> Option<Self> {
-        match record.kind {
-            SpanKind::Coded { class, at } if record.window > 1 => {
-                Some(Self { level, window: record.window, class, at })
-            }
-            _ => None,
-        }
     }
 }
 
@@ -112,7 +98,8 @@ impl Session {
     /// What makes a node's brick at a step the same as another: also as that of an earlier step of its span, where the payload is in memory
     /// to tell.
     fn key_at(&mut self, level: u8, record: &SpanRecord, step: u32) -> Option<BrickKey> {
-        let payload = PayloadKey::new(level, record).and_then(|key| self.payloads.get(&key));
+        let held = HeldKey::new(level, record).and_then(|key| self.held(&key));
+        let payload = held.and_then(|held| held.payload);
         let step = payload.map_or(step, |p| record.start + p.first_step_like(step - record.start));
         BrickKey::new(level, record, step)
     }
@@ -142,7 +129,12 @@ impl Session {
         let tree = Arc::clone(&self.tree);
         let mut ready: HashMap<NodeId, Arc<PreparedBrick>> = HashMap::new();
         let mut wanted: Vec<Wanted> = Vec::new();
+        // A node may stand in for several of its descendants.
+        let mut seen = HashSet::new();
         for item in items.iter().filter(|item| item.how == How::Payload) {
+            if !seen.insert(item.node) {
+                continue;
+            }
             let step = item.steps.start;
             let record = self.record(&tree, item.node, step)?;
             let Some(key) = self.key_at(item.node.level, &record, step) else { continue };
@@ -193,39 +185,45 @@ impl Session {
     fn load<'a>(&mut self, wanted: &'a [Wanted]) -> Vec<(&'a Wanted, Loaded)> {
         let mut loaded = Vec::with_capacity(wanted.len());
         for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
-            let payloads = self.payloads(of_level);
-            let (store, variable) = (&self.store, self.variable);
-            let prepared = of_level.par_iter().zip(payloads).map(|(w, payload)| {
-                let prepare = |p: Option<Arc<Payload>>| prepare(store, variable, w, p.as_deref());
-                (w, payload.map_err(Into::into).and_then(prepare))
-            });
+            let held = self.read(of_level);
+            let layout = self.store.layout();
+            let prepared =
+                of_level.par_iter().zip(held).map(|(w, held)| (w, held.and_then(|held| prepare(layout, w, held))));
             loaded.par_extend(prepared);
         }
         loaded
     }
 
-    /// The payloads of bricks of one level: those that another step needed are still there, the others are read.
-    fn payloads(&mut self, of_level: &[Wanted]) -> Vec<Result<Option<Arc<Payload>>, StoreError>> {
+    /// What is in memory of a span.
+    fn held(&mut self, key: &HeldKey) -> Option<Held> {
+        match self.given.get(key) {
+            Some(held) => Some(held.clone()),
+            None => self.payloads.get(key),
+        }
+    }
+
+    /// What is stored of bricks of one level: what another step needed is still there, the rest is read.
+    fn read(&mut self, of_level: &[Wanted]) -> Vec<anyhow::Result<Held>> {
         let level = of_level[0].node.level;
-        let keys: Vec<Option<PayloadKey>> =
-            of_level.iter().map(|wanted| PayloadKey::new(level, &wanted.record)).collect();
-        let held: Vec<Option<Arc<Payload>>> =
-            keys.iter().map(|key| key.and_then(|key| self.payloads.get(&key))).collect();
+        let keys: Vec<Option<HeldKey>> = of_level.iter().map(|w| HeldKey::new(level, &w.record)).collect();
+        let held: Vec<Option<Held>> = keys.iter().map(|key| self.held(key.as_ref()?)).collect();
         let missing: Vec<SpanRecord> =
             of_level.iter().zip(&held).filter(|(_, held)| held.is_none()).map(|(w, _)| w.record).collect();
-        let mut read = self.store.read_payloads(self.variable, level, &missing).into_iter();
-        let mut payloads = Vec::with_capacity(of_level.len());
-        for (key, held) in keys.into_iter().zip(held) {
-            let payload = match held {
-                Some(payload) => Ok(Some(payload)),
-                None => read.next().expect("one for each that is missing").map(|p| p.map(Arc::new)),
+        self.num_read += missing.len() as u64;
+        let mut read = read_held(&self.store, self.variable, level, &missing).into_iter();
+        let mut all = Vec::with_capacity(of_level.len());
+        for (key, (held, wanted)) in keys.into_iter().zip(held.into_iter().zip(of_level)) {
+            let held = match held {
+                Some(held) => Ok(held),
+                None => read.next().expect("one for each that is missing"),
             };
-            if let (Some(key), Ok(Some(payload))) = (key, &payload) {
-                self.payloads.insert(key, Arc::clone(payload), payload_bytes(payload));
+            // The bricks of a single step are kept instead.
+            if let (Some(key), Ok(held), 2..) = (key, &held, wanted.record.window) {
+                self.payloads.insert(key, held.clone(), held.num_bytes());
             }
-            payloads.push(payload);
+            all.push(held.map_err(Into::into));
         }
-        payloads
+        all
     }
 
     /// The nearest ancestor of a damaged node that can be drawn in its place.
@@ -279,36 +277,17 @@ struct Wanted {
 }
 
 fn load_brick(store: &Store, variable: usize, wanted: &Wanted) -> Loaded {
-    let payload = match wanted.record.kind {
-        SpanKind::Coded { .. } => Some(store.read_payload(variable, wanted.node.level, &wanted.record)?),
-        _ => None,
-    };
-    prepare(store, variable, wanted, payload.as_ref())
-}
-
-/// Bytes that a payload takes in memory, but for what is small.
-pub(super) fn payload_bytes(payload: &Payload) -> usize {
-    let stage_bytes = |stage: &Stage| {
-        let indices = match &stage.indices {
-            Indices::U8(indices) => indices.len(),
-            Indices::U16(indices) => 2 * indices.len(),
-        };
-        let entries = match &stage.table {
-            Table::Affine { .. } => 0,
-            Table::Listed { entries, .. } => 2 * entries.len(),
-        };
-        size_of::<Stage>() + indices + entries
-    };
-    size_of::<Payload>() + payload.stages.iter().map(stage_bytes).sum::<usize>()
+    let level = wanted.node.level;
+    let held = read_held(store, variable, level, std::slice::from_ref(&wanted.record)).pop();
+    prepare(store.layout(), wanted, held.expect("one for one record")?)
 }
 
 /// Makes a brick ready to be drawn, from its payload or its constant value.
-fn prepare(store: &Store, variable: usize, wanted: &Wanted, payload: Option<&Payload>) -> Loaded {
+fn prepare(layout: &BrickLayout, wanted: &Wanted, Held { payload, mask }: Held) -> Loaded {
     let Wanted { node, step, record, .. } = wanted;
-    let layout = &store.header().bricks;
-    let mask = store.read_mask(variable, node.level, record)?;
+    let mask = mask.map(|mask| BitMask::clone(&mask));
     let resident = match (payload, record.kind) {
-        (Some(payload), _) => decode_resident(payload, layout, *step - record.start, mask)?,
+        (Some(payload), _) => decode_resident(&payload, layout, *step - record.start, mask)?,
         (None, SpanKind::Constant(value)) => constant_brick(value, mask, layout),
         (None, _) => bail!("brick {:?} of level {} has no payload", node.brick(), node.level),
     };

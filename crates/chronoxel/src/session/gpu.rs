@@ -9,7 +9,7 @@ use chronoxel_render::{CodedBrick, GpuBrick, GpuHow, GpuInfo, GpuOptions, GpuRen
 use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How};
 
-use super::{BrickCounts, Drawn, Faults, RESIDENT_SHARE, Session, View, bricks::payload_bytes};
+use super::{BrickCounts, Drawn, Faults, RESIDENT_SHARE, Session, View, held::payload_bytes};
 
 /// A GPU, and what of the store is in memory for it.
 pub(super) struct OnGpu {

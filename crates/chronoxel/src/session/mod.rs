@@ -6,14 +6,14 @@
 
 mod bricks;
 mod gpu;
+mod held;
 mod images;
 mod reference;
 mod select;
 
-use std::{path::Path, sync::Arc, time::Instant};
+use std::{collections::HashMap, path::Path, sync::Arc, time::Instant};
 
 use anyhow::{Context, bail};
-use chronoxel_codec::Payload;
 use chronoxel_core::{
     ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord,
     TimeNode, TransferFunction, UniformGrid,
@@ -22,8 +22,9 @@ use chronoxel_render::{CpuOptions, Frame, GpuStats, PreparedBrick, RenderStats, 
 use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
-use bricks::{BrickKey, PayloadKey};
+use bricks::BrickKey;
 use gpu::OnGpu;
+pub(crate) use held::{Held, HeldKey, read_held};
 use images::Images;
 use select::Colors;
 pub use select::{CoherenceView, Metric};
@@ -131,12 +132,16 @@ type Spans = Arc<Vec<SpanRecord>>;
 
 /// An open store, one variable of which is drawn.
 pub struct Session {
-    store: Store,
+    store: Arc<Store>,
     tree: Arc<Octree>,
     variable: usize,
     bricks: ByteLru<BrickKey, Arc<PreparedBrick>>,
     /// Payloads of several steps: the next step of each is decoded without reading it again.
-    payloads: ByteLru<PayloadKey, Arc<Payload>>,
+    payloads: ByteLru<HeldKey, Held>,
+    /// What a player has in memory: it comes before [`Self::payloads`].
+    given: HashMap<HeldKey, Held>,
+    /// Spans that were read because they were not in memory.
+    num_read: u64,
     spans: ByteLru<(u8, u32), Spans>,
     statistics: ByteLru<TimeNode, Arc<Vec<NodeStatistics>>>,
     colors: Colors,
@@ -147,15 +152,17 @@ pub struct Session {
 }
 
 /// Share of the memory budget that resident bricks may take; the rest is for what is being decoded.
-const RESIDENT_SHARE: f64 = 0.5;
+const RESIDENT_SHARE: f64 = 0.45;
 /// Share of the memory budget for payloads that later steps need as well.
 const PAYLOAD_SHARE: f64 = 0.1;
 /// Share of the memory budget that the bricks of one portion of a picture may take.
-const PORTION_SHARE: f64 = 0.25;
+const PORTION_SHARE: f64 = 0.2;
 /// Bytes that a pixel takes while a picture is made: what is gathered, tiles in flight, and the bytes shown.
 const BYTES_PER_PIXEL: u64 = 40;
 /// Share for the records of spans, and for the statistics of time nodes.
 const SPANS_SHARE: f64 = 0.05;
+/// Share for what the store keeps of its indexes.
+const STORE_SHARE: f64 = 0.1;
 
 impl Session {
     /// Opens a store to draw a variable of it, the first where none is named.
@@ -163,7 +170,8 @@ impl Session {
     /// # Errors
     /// If the store cannot be opened, has no such variable, or has no finished step yet.
     pub fn open(path: &Path, variable: Option<&str>, memory_bytes: u64) -> anyhow::Result<Self> {
-        let store = Store::open(path)?;
+        let share = |part: f64| (memory_bytes as f64 * part) as usize;
+        let store = Arc::new(Store::open_within(path, share(STORE_SHARE))?);
         let variable = match variable {
             None => 0,
             Some(name) => store.header().variable(name).with_context(|| {
@@ -174,13 +182,14 @@ impl Session {
         if store.header().num_steps_finished == 0 {
             bail!("{}: no time step is finished yet; finish it with encode --resume", path.display());
         }
-        let share = |part: f64| (memory_bytes as f64 * part) as usize;
         Ok(Self {
             tree: Arc::new(store.tree().clone()),
             store,
             variable,
             bricks: ByteLru::new(share(RESIDENT_SHARE)),
             payloads: ByteLru::new(share(PAYLOAD_SHARE)),
+            given: HashMap::new(),
+            num_read: 0,
             spans: ByteLru::new(share(SPANS_SHARE)),
             statistics: ByteLru::new(share(SPANS_SHARE)),
             colors: Colors::default(),
