@@ -1,0 +1,186 @@
+//! What the active cut asks of nodes: how wrong the picture is where one is drawn, what drawing it costs, and whether it is in memory.
+
+use std::{collections::HashMap, sync::Arc};
+
+use chronoxel_core::{
+    BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, SpanKind, SpanRecord, UniformGrid,
+    metrics::{ColorSpace, ColorTable, approximate_spatial},
+};
+use chronoxel_store::Store;
+use chronoxel_stream::{NodeView, Residency, State, ViewVolume};
+
+use crate::session::{Held, HeldKey, View};
+
+/// Entries of the table that colours are estimated from.
+const NUM_ENTRIES: usize = 256;
+/// What can be seen and is not of one value has at least this error, times its pixels per voxel: the estimate speaks of colours alone, not of light.
+const LEAST_COLOR_ERROR: f64 = 1e-3;
+/// Time to decode a sample of a brick, against that of a sample along a ray: measured on CPUs.
+const DECODE_COST: f64 = 0.25;
+/// Most errors that are kept; then all are forgotten.
+const MOST_ERRORS: usize = 1 << 18;
+
+/// The spans of all levels at one step; `None` for levels whose spans are not in memory, or cannot be read.
+#[derive(Clone)]
+pub(super) struct StepSpans {
+    pub step: u32,
+    pub of_levels: Vec<Option<Arc<Vec<SpanRecord>>>>,
+}
+
+impl StepSpans {
+    /// Of a node of a level, by its rank.
+    pub fn record(&self, tree: &Octree, node: NodeId) -> Option<&SpanRecord> {
+        self.of_levels[usize::from(node.level)].as_ref()?.get(tree.rank(node)?)
+    }
+}
+
+/// Colour errors under one transfer function, as far as they were asked for.
+pub(super) struct ColorErrors {
+    table: ColorTable,
+    view: View,
+    known: HashMap<(NodeId, u32), f64>,
+}
+
+impl ColorErrors {
+    /// Of a view, over the range of the variable.
+    pub fn new(view: &View, range: [f64; 2]) -> Self {
+        let table = ColorTable::new(&view.transfer, range, NUM_ENTRIES, ColorSpace::Rgb);
+        Self { table, view: view.clone(), known: HashMap::new() }
+    }
+
+    /// Whether they hold for another view.
+    pub fn fits(&self, view: &View) -> bool {
+        self.view.transfer == view.transfer
+    }
+
+    /// The estimated spatial error of a node over a span (ellsworth2000, eq. 19), 0 where it has one colour.
+    fn of(&mut self, node: NodeId, record: &SpanRecord) -> f64 {
+        let key = (node, record.start);
+        if let Some(error) = self.known.get(&key) {
+            return *error;
+        }
+        if self.known.len() >= MOST_ERRORS {
+            self.known.clear();
+        }
+        let statistics = &record.statistics;
+        let is_masked = record.mask.is_some();
+        let is_uniform = matches!(record.kind, SpanKind::Constant(_)) && !is_masked;
+        let estimate = approximate_spatial(
+            &self.table,
+            &self.view.transfer,
+            &NodeStatistics {
+                min: statistics.min,
+                max: statistics.max,
+                mean: statistics.mean,
+                std: statistics.std,
+                temporal_error: 0.0,
+                facts: NodeFacts { is_uniform, is_masked, ..NodeFacts::default() },
+            },
+        );
+        let error = if is_uniform { 0.0 } else { estimate.error.max(LEAST_COLOR_ERROR) };
+        self.known.insert(key, error);
+        error
+    }
+}
+
+/// The nodes of one frame.
+pub(super) struct FrameNodes<'a> {
+    pub tree: &'a Octree,
+    pub store: &'a Store,
+    pub variable: usize,
+    pub grid: &'a UniformGrid,
+    pub layout: &'a BrickLayout,
+    pub view: &'a View,
+    pub volume: &'a ViewVolume,
+    pub spans: &'a StepSpans,
+    pub residency: &'a Residency<HeldKey>,
+    pub errors: &'a mut ColorErrors,
+}
+
+impl FrameNodes<'_> {
+    /// The record of a node whose samples would be drawn; `None` where it would be skipped: outside the picture, transparent, without data.
+    pub fn drawn(&self, node: NodeId) -> Option<&SpanRecord> {
+        let record = self.spans.record(self.tree, node)?;
+        let is_seen = self.volume.may_see(self.region(node))
+            && record.kind != SpanKind::Empty
+            && !self.view.transfer.is_transparent_over(record.drawn_range);
+        is_seen.then_some(record)
+    }
+
+    /// The key of what must be in memory to draw a node; `None` where nothing must.
+    pub fn key(&self, node: NodeId) -> Option<(HeldKey, SpanRecord)> {
+        let record = self.drawn(node)?;
+        key_of(node.level, record).map(|key| (key, *record))
+    }
+
+    fn region(&self, node: NodeId) -> [[f64; 3]; 2] {
+        let size = (self.layout.edge << node.level) as f64;
+        let low = node.brick().map(|b| f64::from(b) * size);
+        [low, std::array::from_fn(|a| (low[a] + size).min(self.grid.dims[a] as f64 - 1.0).max(low[a]))]
+    }
+
+    /// Pixels per world unit where the node is nearest, and the radius of the ball around it.
+    fn scale(&self, node: NodeId) -> (f64, f64) {
+        let [low, high] = self.region(node).map(|corner| self.grid.world_from_voxel(corner));
+        let radius = 0.5 * (0..3).map(|a| (high[a] - low[a]).powi(2)).sum::<f64>().sqrt();
+        let camera = &self.view.camera;
+        let per_unit = self.view.size[1] as f64 / (2.0 * camera.half_height());
+        match camera.projection() {
+            chronoxel_core::Projection::Orthographic { .. } => (per_unit, radius),
+            chronoxel_core::Projection::Perspective { .. } => {
+                let [position, forward] = [camera.position(), camera.axes()[2]];
+                let nearest: [f64; 3] = std::array::from_fn(|a| position[a].clamp(low[a], high[a]));
+                let distance = (0..3).map(|a| (nearest[a] - position[a]).powi(2)).sum::<f64>().sqrt();
+                let depth: f64 = (0..3).map(|a| (nearest[a] - position[a]) * forward[a]).sum();
+                // Within the box: as near as a sample of it.
+                let least = self.grid.smallest_spacing();
+                (per_unit / depth.max(0.5 * distance).max(least), radius)
+            }
+        }
+    }
+
+    /// Edge of a voxel of a node in pixels, where it is largest (leven2002, section 5.1).
+    pub fn pixels_per_voxel(&self, node: NodeId) -> f64 {
+        self.scale(node).0 * self.grid.smallest_spacing() * f64::from(1u32 << node.level.min(31))
+    }
+}
+
+/// The key of what must be in memory to draw a span; `None` where nothing must.
+pub(super) fn key_of(level: u8, record: &SpanRecord) -> Option<HeldKey> {
+    match (record.kind, record.mask) {
+        (SpanKind::Empty, _) | (SpanKind::Constant(_), None) => None,
+        _ => HeldKey::new(level, record),
+    }
+}
+
+impl NodeView for FrameNodes<'_> {
+    fn error(&mut self, node: NodeId) -> f64 {
+        let Some(record) = self.drawn(node).copied() else { return 0.0 };
+        self.errors.of(node, &record) * self.pixels_per_voxel(node)
+    }
+
+    /// Samples along rays, and those to decode.
+    fn cost(&mut self, node: NodeId) -> f64 {
+        let Some(record) = self.drawn(node) else { return 0.0 };
+        if matches!(record.kind, SpanKind::Constant(_)) && record.mask.is_none() {
+            return 1.0;
+        }
+        let (per_unit, radius) = self.scale(node);
+        let num_pixels = (self.view.size[0] * self.view.size[1]) as f64;
+        // The mean shadow of a cube is half that of the ball around it.
+        let area = (0.5 * std::f64::consts::PI * (radius * per_unit).powi(2)).min(num_pixels);
+        let along_ray = self.layout.edge as f64 / self.view.step_voxels;
+        area * along_ray + DECODE_COST * self.layout.num_full() as f64
+    }
+
+    fn num_bytes(&mut self, node: NodeId) -> usize {
+        self.key(node).map_or(0, |(_, record)| Held::most_bytes(self.store, self.variable, &record))
+    }
+
+    fn is_resident(&mut self, node: NodeId) -> bool {
+        match self.spans.record(self.tree, node) {
+            None => false,
+            Some(_) => self.key(node).is_none_or(|(key, _)| self.residency.state(&key) == State::Resident),
+        }
+    }
+}
