@@ -6,7 +6,7 @@ use chronoxel_core::{
     BrickLayout, Eye, NodeFacts, NodeId, Octree, SpanKind, SpanRecord, TimeNode, UniformGrid,
 };
 
-use crate::{NodeErrors, Place, StepStatistics, ViewVolume};
+use crate::{ActiveCut, NodeErrors, Place, StepStatistics, ViewVolume};
 
 /// How a node of the draw list is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,6 +81,8 @@ pub struct Selector<'a> {
     pub step: u32,
     /// The finest level to draw.
     pub level: u8,
+    /// Nodes to stop at, drawn as bricks, where that is above `level`.
+    pub cut: Option<&'a ActiveCut>,
     /// What the camera sees.
     pub view: &'a ViewVolume,
     /// Whether what cannot be seen is left out, as it should be; drawing it changes nothing but the time it takes.
@@ -160,7 +162,8 @@ impl<E> Walk<'_, '_, E> {
         let children: [Option<NodeId>; 8] = std::array::from_fn(|octant| {
             node.child(octant as u8).filter(|child| selector.tree.rank(*child).is_some())
         });
-        if node.level <= selector.level || children.iter().all(Option::is_none) {
+        let is_finest = node.level <= selector.level || selector.cut.is_some_and(|cut| cut.contains(node));
+        if is_finest || children.iter().all(Option::is_none) {
             return self.draw_brick(node, region);
         }
         if let Some(Coherent { time, mean_color: Some(color) }) = self.coherent(node, false) {

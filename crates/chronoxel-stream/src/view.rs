@@ -41,6 +41,40 @@ impl ViewVolume {
             farthest + plane[3] >= 0.0
         })
     }
+
+    /// Pixels that a voxel of a level is wide in the picture where a box is nearest to the camera: the screen-space error of leven2002, section 5.1.
+    ///
+    /// Nearer than one voxel counts as one voxel away.
+    ///
+    /// * `region`: the box, in voxels of the grid
+    /// * `height`: of the picture in pixels
+    pub fn pixels_per_voxel(
+        &self,
+        region: [[f64; 3]; 2],
+        level: u8,
+        grid: &UniformGrid,
+        height: usize,
+    ) -> f64 {
+        let voxel = grid.spacing.into_iter().fold(0.0, f64::max) * f64::from(level).exp2();
+        let half = self.camera.half_height();
+        let visible_height = match self.camera.projection() {
+            Projection::Orthographic { .. } => 2.0 * half,
+            Projection::Perspective { .. } => 2.0 * half * self.nearest_depth(region, grid).max(voxel),
+        };
+        voxel * height as f64 / visible_height
+    }
+
+    /// Least distance of a box from the camera along the direction of view, in world units; negative behind the camera.
+    pub fn nearest_depth(&self, region: [[f64; 3]; 2], grid: &UniformGrid) -> f64 {
+        let [_, _, forward] = self.camera.axes();
+        (0..3)
+            .map(|a| {
+                let along = forward[a] * grid.spacing[a];
+                let nearest = region[usize::from(along < 0.0)][a];
+                along * nearest + forward[a] * (grid.origin[a] - self.camera.position()[a])
+            })
+            .sum()
+    }
 }
 
 #[cfg(test)]

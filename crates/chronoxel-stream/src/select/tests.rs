@@ -35,6 +35,7 @@ impl Volume {
             num_steps: NUM_STEPS,
             step,
             level,
+            cut: None,
             view: &self.view,
             skips_transparent: true,
         }

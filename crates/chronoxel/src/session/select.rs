@@ -97,6 +97,7 @@ impl Session {
             num_steps,
             step,
             level,
+            cut: None,
             view: &volume,
             skips_transparent: prepared.is_none_or(|p| p.choice.skips_transparent),
         };
