@@ -11,6 +11,7 @@ pub mod bytes;
 pub mod cli;
 pub mod interrupt;
 pub mod movie;
+pub mod player;
 pub mod process;
 pub mod progress;
 pub mod session;

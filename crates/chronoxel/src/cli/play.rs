@@ -1,20 +1,25 @@
 //! `play`: steps drawn as fast as they come, headless, and what it took.
 
-use std::{io::Write, path::PathBuf, time::Instant};
+use std::{
+    io::Write,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use chronoxel_core::{Camera, Projection, UniformGrid};
+use chronoxel_core::UniformGrid;
 
 use super::{
     args::{Common, StepRange, parse_finite},
     output,
-    view::{Switch, ViewArgs},
+    view::{Switch, ViewArgs, parse_fps},
 };
 use crate::{
     bytes::ByteSize,
+    player::{CameraPath, Late, Player, PlayerOptions},
     process::resource_usage,
     progress::{Counted, Progress},
     session::{Session, View},
@@ -25,6 +30,8 @@ use crate::{
 #[command(after_help = "Examples:
   chronoxel play run.cxl
   chronoxel play run.cxl --size 512x512 --frames 24 --steps 16 --orbit 360      a still step, turning
+  chronoxel play run.cxl --memory 512MiB --frames 400 --reverse                 larger than memory, backwards
+  chronoxel play run.cxl --target-fps 20 --path flight.json --late drop         at 20 frames per second
   chronoxel play run.cxl --temporal-tolerance 0.02 --image-cache 256MiB
   chronoxel play run.cxl --lighting off --tf sparse --json --csv frames.csv")]
 pub struct PlayArgs {
@@ -42,6 +49,21 @@ pub struct PlayArgs {
     /// Play backwards
     #[arg(long)]
     reverse: bool,
+    /// Hold this frame rate, by drawing coarser bricks where need be [default: full quality, as fast as it comes]
+    #[arg(long, value_name = "F", value_parser = parse_fps)]
+    target_fps: Option<f64>,
+    /// What to do about a step whose data is not there in time
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "wait")]
+    late: LateArg,
+    /// The most bytes sent to the GPU per frame; coarser bricks stand in for what is still to come
+    #[arg(long, value_name = "SIZE")]
+    upload_limit: Option<ByteSize>,
+    /// Read no more than so many bytes per second, such as 34MB: to see what a slower disk would do
+    #[arg(long, value_name = "BYTES/S")]
+    throttle: Option<ByteSize>,
+    /// Fly along the cameras of a file {"keys": [camera, ...]} over all frames, each as a camera file has it, with its place from 0 to 1 as "at"
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["orbit", "camera"])]
+    path: Option<PathBuf>,
     /// Draw the first frame once before the clock starts
     #[arg(long, value_name = "SWITCH", default_value = "on")]
     warm: Switch,
@@ -55,10 +77,28 @@ pub struct PlayArgs {
     view: ViewArgs,
 }
 
+/// What to do about steps that are late.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LateArg {
+    /// Leave them out.
+    Drop,
+    /// Wait for them.
+    Wait,
+}
+
 /// One frame as it was measured.
+#[derive(Default)]
 struct FrameTime {
-    step: usize,
+    step: u32,
     frame_ms: f64,
+    /// Part of it that was spent waiting for data.
+    wait_ms: f64,
+    hits: u64,
+    misses: u64,
+    num_dropped: usize,
+    num_stand_ins: usize,
+    num_drawn: usize,
+    pixels_per_voxel: f64,
     fetch_ms: f64,
     render_ms: f64,
     cpu_ms: f64,
@@ -94,6 +134,16 @@ struct PlayReport {
     /// Boxes composited from partial images, per frame, and the most bytes that these took.
     composited_per_frame: f64,
     image_bytes_peak: usize,
+    /// Time that frames waited for data.
+    wait_ms: Times,
+    /// Steps left out because they were late, and boxes drawn coarser because their own data was.
+    dropped_steps: usize,
+    stand_ins: usize,
+    /// Nodes drawn from samples, per frame.
+    nodes_per_frame: f64,
+    /// The most bytes of payloads in memory at once, and those allowed.
+    payload_bytes_peak: usize,
+    payload_bytes_budget: usize,
     peak_rss_bytes: Option<u64>,
     gpu_bytes_peak: u64,
     mean_pixels_per_voxel: f64,
@@ -145,32 +195,42 @@ impl PlayArgs {
             steps.reverse();
         }
         let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
-        let mut view = self.view.view(&session)?;
+        let view = self.view.view(&session)?;
         let backend = self.view.choose_backend(&mut session)?;
         anyhow::ensure!(
             backend.name == "cpu" || self.image_cache.0 == 0,
             "--image-cache is for the CPU: add --backend cpu, or leave it out"
         );
+        let cameras = match &self.path {
+            Some(path) => Cameras::Path(CameraPath::read(path)?),
+            None if self.orbit != 0.0 => Cameras::Orbit(self, grid),
+            None => Cameras::Still,
+        };
+        let order = steps.iter().map(|step| *step as u32).collect();
+        let options = PlayerOptions {
+            target_fps: self.target_fps,
+            late: if self.late == LateArg::Drop { Late::Drop } else { Late::Wait },
+            throttle: self.throttle.map(|rate| rate.0 as f64),
+            upload_limit: self.upload_limit.map(|limit| limit.0),
+            redraws: true,
+        };
+        let mut player = Player::new(session, order, options)?;
         if self.warm == Switch::On {
-            session.draw(&view, steps[0])?;
+            player.frame(&cameras.view(&view, 0, num_frames)?, 0)?;
+            player.rewind();
         }
-        let bytes_before = session.bytes_from_disk();
+        let bytes_before = player.session().bytes_from_disk();
         let mut warnings = Vec::new();
         let mut frames = Vec::with_capacity(num_frames);
-        let mut pixels_per_voxel = 0.0;
         let bar =
             Progress::new("play", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
-        for frame in 0..num_frames {
-            if self.orbit != 0.0 {
-                let turn = self.orbit * frame as f64 / num_frames as f64;
-                view.camera = self.view.camera.turned(&grid, view.size, turn)?;
-            }
-            let step = steps[frame % steps.len()];
-            let (time, new_warnings) = timed_frame(&mut session, &view, step)?;
-            frames.push(time);
-            warnings.extend(new_warnings);
-            pixels_per_voxel += self::pixels_per_voxel(&view.camera, &grid, view.size) / num_frames as f64;
-            bar.advance(1);
+        let mut place = 0;
+        while place < num_frames {
+            let view = cameras.view(&view, place, num_frames)?;
+            let (time, shown) = self.timed_frame(&mut player, &view, &mut warnings)?;
+            frames.push(FrameTime { step: steps[shown % steps.len()] as u32, ..time });
+            bar.advance((shown + 1 - place) as u64);
+            place = shown + 1;
         }
         bar.finish();
         warnings.iter().for_each(|warning| output::warning(warning));
@@ -181,11 +241,11 @@ impl PlayArgs {
             backend: backend.name,
             adapter: backend.adapter,
             backend_reason: backend.reason,
-            bytes_from_disk: session.bytes_from_disk() - bytes_before,
-            cache: CacheReport { hits: session.cache_counts().hits, misses: session.cache_counts().misses },
-            image_bytes_peak: session.image_bytes_peak(),
+            bytes_from_disk: player.session().bytes_from_disk() - bytes_before,
+            image_bytes_peak: player.session().image_bytes_peak(),
+            payload_bytes_peak: player.payload_bytes()[0],
+            payload_bytes_budget: player.payload_bytes()[1],
             peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
-            mean_pixels_per_voxel: pixels_per_voxel * f64::from(1u32 << view.level),
             size: view.size,
             warnings,
             ..PlayReport::of_frames(&frames)
@@ -193,47 +253,82 @@ impl PlayArgs {
     }
 }
 
-fn timed_frame(session: &mut Session, view: &View, step: usize) -> anyhow::Result<(FrameTime, Vec<String>)> {
-    let cpu_secs = || resource_usage().map_or(0.0, |usage| usage.cpu_secs);
-    let (start, cpu_start) = (Instant::now(), cpu_secs());
-    let picture = session.draw(view, step)?;
-    let time = FrameTime {
-        step,
-        frame_ms: start.elapsed().as_secs_f64() * 1e3,
-        fetch_ms: picture.fetch_ms,
-        render_ms: picture.render_ms,
-        cpu_ms: (cpu_secs() - cpu_start) * 1e3,
-        samples: picture.samples,
-        new_bricks: picture.bricks.new,
-        composited_bricks: picture.bricks.composited,
-        bytes_uploaded: picture.on_gpu.map_or(0, |gpu| gpu.bytes_uploaded),
-        decode_ms: picture.on_gpu.map_or(0.0, |gpu| gpu.decode_ms),
-        gpu_bytes_peak: picture.on_gpu.map_or(0, |gpu| gpu.gpu_bytes_peak),
-    };
-    Ok((time, picture.warnings))
+/// Cameras of the frames.
+enum Cameras<'a> {
+    Still,
+    Orbit(&'a PlayArgs, UniformGrid),
+    Path(CameraPath),
 }
 
-/// Edge of a level-0 voxel in pixels, where the camera looks at.
-fn pixels_per_voxel(camera: &Camera, grid: &UniformGrid, size: [usize; 2]) -> f64 {
-    let distance = match camera.projection() {
-        Projection::Orthographic { .. } => 1.0,
-        Projection::Perspective { .. } => {
-            (0..3).map(|a| (camera.position()[a] - camera.look_at()[a]).powi(2)).sum::<f64>().sqrt()
+impl Cameras<'_> {
+    /// The view of a frame.
+    fn view(&self, view: &View, frame: usize, num_frames: usize) -> anyhow::Result<View> {
+        let camera = match self {
+            Self::Still => view.camera,
+            Self::Orbit(args, grid) => {
+                let turn = args.orbit * frame as f64 / num_frames as f64;
+                args.view.camera.turned(grid, view.size, turn)?
+            }
+            Self::Path(path) => path.camera(frame as f64 / (num_frames - 1).max(1) as f64)?,
+        };
+        Ok(View { camera, ..view.clone() })
+    }
+}
+
+impl PlayArgs {
+    /// Plays the next frame; also gives its place.
+    fn timed_frame(
+        &self,
+        player: &mut Player,
+        view: &View,
+        warnings: &mut Vec<String>,
+    ) -> anyhow::Result<(FrameTime, usize)> {
+        let cpu_secs = || resource_usage().map_or(0.0, |usage| usage.cpu_secs);
+        let (start, cpu_start) = (Instant::now(), cpu_secs());
+        let played = player.next(view)?;
+        let picture = played.picture.context("every frame is drawn")?;
+        warnings.extend(picture.warnings);
+        let cpu_ms = (cpu_secs() - cpu_start) * 1e3;
+        if let Some(fps) = self.target_fps {
+            // A frame that is ready early is shown on time.
+            let left = Duration::from_secs_f64(1.0 / fps).saturating_sub(start.elapsed());
+            std::thread::sleep(left);
         }
-    };
-    grid.smallest_spacing() * size[1] as f64 / (2.0 * camera.half_height() * distance)
+        let time = FrameTime {
+            step: 0,
+            frame_ms: start.elapsed().as_secs_f64() * 1e3,
+            wait_ms: played.wait_ms,
+            hits: played.hits,
+            misses: played.misses,
+            num_dropped: played.num_dropped,
+            num_stand_ins: played.num_stand_ins,
+            num_drawn: played.num_drawn,
+            pixels_per_voxel: played.pixels_per_voxel,
+            fetch_ms: picture.fetch_ms,
+            render_ms: picture.render_ms,
+            cpu_ms,
+            samples: picture.samples,
+            new_bricks: picture.bricks.new,
+            composited_bricks: picture.bricks.composited,
+            bytes_uploaded: picture.on_gpu.map_or(0, |gpu| gpu.bytes_uploaded),
+            decode_ms: picture.on_gpu.map_or(0.0, |gpu| gpu.decode_ms),
+            gpu_bytes_peak: picture.on_gpu.map_or(0, |gpu| gpu.gpu_bytes_peak),
+        };
+        Ok((time, played.place))
+    }
 }
 
 fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()> {
     let mut file = std::io::BufWriter::new(std::fs::File::create(path)?);
     writeln!(
         file,
-        "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks,bytes_uploaded,decode_ms"
+        "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks,bytes_uploaded,decode_ms,\
+         wait_ms,hits,misses,dropped_steps,stand_ins,nodes,pixels_per_voxel"
     )?;
     for (number, f) in frames.iter().enumerate() {
         writeln!(
             file,
-            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3}",
+            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3},{:.3},{},{},{},{},{},{:.4}",
             f.step,
             f.frame_ms,
             f.fetch_ms,
@@ -243,7 +338,14 @@ fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()
             f.new_bricks,
             f.composited_bricks,
             f.bytes_uploaded,
-            f.decode_ms
+            f.decode_ms,
+            f.wait_ms,
+            f.hits,
+            f.misses,
+            f.num_dropped,
+            f.num_stand_ins,
+            f.num_drawn,
+            f.pixels_per_voxel
         )?;
     }
     file.flush()
@@ -290,12 +392,21 @@ impl PlayReport {
             bytes_from_disk: 0,
             bytes_uploaded: frames.iter().map(|f| f.bytes_uploaded).sum(),
             gpu_decode_ms: Times::of(frames, |f| f.decode_ms),
-            cache: CacheReport { hits: 0, misses: 0 },
+            cache: CacheReport {
+                hits: frames.iter().map(|f| f.hits).sum(),
+                misses: frames.iter().map(|f| f.misses).sum(),
+            },
+            wait_ms: Times::of(frames, |f| f.wait_ms),
+            dropped_steps: frames.iter().map(|f| f.num_dropped).sum(),
+            stand_ins: frames.iter().map(|f| f.num_stand_ins).sum(),
+            nodes_per_frame: sum(|f| f.num_drawn as f64) / frames.len() as f64,
+            payload_bytes_peak: 0,
+            payload_bytes_budget: 0,
             composited_per_frame: sum(|f| f.composited_bricks as f64) / frames.len() as f64,
             image_bytes_peak: 0,
             peak_rss_bytes: None,
             gpu_bytes_peak: frames.iter().map(|f| f.gpu_bytes_peak).max().unwrap_or(0),
-            mean_pixels_per_voxel: 0.0,
+            mean_pixels_per_voxel: sum(|f| f.pixels_per_voxel) / frames.len() as f64,
             size: [0; 2],
             warnings: Vec::new(),
         }
@@ -321,6 +432,7 @@ impl PlayReport {
         let rows = [
             heading,
             times("frame", &self.frame_ms),
+            times("  waiting", &self.wait_ms),
             times("  new step", &self.step_ms),
             times("  drawing", &self.render_ms),
             times("CPU time", &self.cpu_ms),
@@ -341,6 +453,14 @@ impl PlayReport {
             self.cache.hits,
             self.cache.misses
         ) + &self.images_text()
+            + &self.late_text()
+    }
+
+    fn late_text(&self) -> String {
+        match (self.dropped_steps, self.stand_ins) {
+            (0, 0) => String::new(),
+            (steps, boxes) => format!("; late: {steps} steps left out, {boxes} boxes drawn coarser"),
+        }
     }
 }
 

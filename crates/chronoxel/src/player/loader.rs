@@ -100,7 +100,9 @@ impl Shared {
         let Some(throttle) = &mut state.throttle else { return };
         let until = throttle.after(total, Instant::now());
         while !state.is_closed {
-            let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else { return };
+            let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else {
+                return;
+            };
             state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
@@ -148,11 +150,11 @@ impl Loader {
         let (sender, answers) = channel();
         let mut loader = Self { shared, answers, threads: Vec::new() };
         for number in 0..num_threads.max(1) {
-            // Of one thread, so that what is decoded in parallel elsewhere is decoded here, and not among the threads that draw.
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
             let (shared, sender) = (Arc::clone(&loader.shared), sender.clone());
             let run = move || {
-                let Ok(_pool) = pool.build() else { return };
+                // Of this thread alone: what would be decoded in parallel is decoded here, and not among the threads that draw.
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build();
+                let Ok(_pool) = pool else { return };
                 while let Some(job) = shared.next_job() {
                     shared.run(job, &sender);
                 }
@@ -171,7 +173,8 @@ impl Loader {
             false => state.jobs.push_back(job),
         }
         drop(state);
-        self.shared.changed.notify_one();
+        // All: the one that is woken may be resting.
+        self.shared.changed.notify_all();
     }
 
     /// Takes jobs back that no thread has begun: spans whose keys `is_withdrawn` says.
@@ -197,10 +200,16 @@ impl Loader {
     }
 
     /// The next answer, waiting for it; `None` after a while without one.
-    pub fn wait(&self, most: Duration) -> Option<Answer> {
+    ///
+    /// # Errors
+    /// If no thread is left to answer.
+    pub fn wait(&self, most: Duration) -> anyhow::Result<Option<Answer>> {
         match self.answers.recv_timeout(most) {
-            Ok(answer) => Some(answer),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
+            Ok(answer) => Ok(Some(answer)),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => {
+                anyhow::bail!("the threads that read the store have ended")
+            }
         }
     }
 }

@@ -20,7 +20,7 @@ use chronoxel_stream::{
     ActiveCut, CutLimits, DrawItem, How, NodeView, Pace, Residency, State, Tier, ViewVolume, Want,
 };
 
-use crate::session::{Held, HeldKey, Picture, Session, View};
+use crate::session::{Faults, Held, HeldKey, Picture, Session, Spans, View};
 use loader::{Answer, Job, Loader};
 use nodes::{ColorErrors, FrameNodes, StepSpans, key_of};
 pub use path::CameraPath;
@@ -45,11 +45,13 @@ pub struct PlayerOptions {
     pub throttle: Option<f64>,
     /// The most bytes sent to the GPU per frame.
     pub upload_limit: Option<u64>,
+    /// Draw every frame as if something had changed: for measuring. Else what rests is refined to full quality, and then not drawn again.
+    pub redraws: bool,
 }
 
 impl Default for PlayerOptions {
     fn default() -> Self {
-        Self { target_fps: None, late: Late::Wait, throttle: None, upload_limit: None }
+        Self { target_fps: None, late: Late::Wait, throttle: None, upload_limit: None, redraws: false }
     }
 }
 
@@ -108,7 +110,7 @@ pub struct Player {
     /// Steps in the order of play; it starts over when it is over.
     order: Vec<u32>,
     /// Spans in memory, by step and level.
-    spans: HashMap<(u32, u8), Arc<Vec<SpanRecord>>>,
+    spans: HashMap<(u32, u8), Spans>,
     /// Spans that a thread reads.
     spans_asked: HashSet<(u32, u8)>,
     /// Spans that cannot be read: drawing finds out why.
@@ -133,7 +135,11 @@ impl Player {
         let store = Arc::clone(session.store_shared());
         let num_steps = store.header().num_steps_finished;
         let Some(last) = order.iter().max() else { bail!("there are no steps to play") };
-        anyhow::ensure!(*last < num_steps, "step {last} is not in the store: its steps are 0 to {}", num_steps - 1);
+        anyhow::ensure!(
+            *last < num_steps,
+            "step {last} is not in the store: its steps are 0 to {}",
+            num_steps - 1
+        );
         let budgets = session.lend_memory();
         let tree = store.tree();
         let num_nodes: usize = (0..tree.num_levels()).map(|level| tree.nodes(level as u8).len()).sum();
@@ -143,7 +149,7 @@ impl Player {
         Ok(Self {
             loader: Loader::new(Arc::clone(&store), session.variable(), NUM_LOADERS, options.throttle)?,
             residency: Residency::new(budgets.payload_bytes, coarse_bytes, MOST_IN_FLIGHT),
-            cut: ActiveCut::new(tree),
+            cut: ActiveCut::new(tree, &store.header().grid, store.layout()),
             pace: options.target_fps.map(|fps| Pace::new(1e3 / fps)),
             num_ahead: num_ahead.min(order.len()),
             session,
@@ -171,6 +177,12 @@ impl Player {
     /// The most bytes that payloads took at once, and those that they may take.
     pub fn payload_bytes(&self) -> [usize; 2] {
         [self.residency.peak_bytes(), self.residency.budget_bytes()]
+    }
+
+    /// Goes back to before the first frame; what is in memory stays.
+    pub fn rewind(&mut self) {
+        self.place = None;
+        self.num_frames = 0;
     }
 
     /// Plays the next frame.
@@ -202,12 +214,14 @@ impl Player {
         self.listen();
         let mut waited = Waited::default();
         let spans = self.spans_of(place, &mut waited)?;
-        let is_at_rest = self.before.as_ref().is_some_and(|(before, at, _)| *at == step && before == view);
+        let is_as_before = |(before, at, _): &(View, u32, bool)| *at == step && before == view;
+        let is_at_rest = !self.options.redraws && self.before.as_ref().is_some_and(is_as_before);
         if is_at_rest && self.before.as_ref().is_some_and(|(.., is_settled)| *is_settled) {
             return Ok(Played { picture: None, place, num_dropped, is_settled: true, ..Played::nothing() });
         }
         let adapted = self.adapt(view, &spans, is_at_rest);
-        let mut faults = self.session.begin_faults(std::mem::take(&mut self.warnings));
+        let mut faults = Faults::default();
+        self.warnings.drain(..).for_each(|warning| faults.warn(warning));
         let items = self.session.select(view, step, 0.0, &mut faults, Some(&self.cut))?;
         let needed = self.needed(&items);
         let [hits, misses] = self.count(&needed);
@@ -216,7 +230,7 @@ impl Player {
         self.wait_for(&needed, place, &mut waited)?;
         let (items, num_stand_ins) = self.with_stand_ins(items, step);
         let start = Instant::now();
-        let picture = self.session.draw_selected(view, step, &items, faults)?;
+        let picture = self.session.draw_selected(view, step, 0.0, &items, faults)?;
         if let Some(pace) = &mut self.pace {
             pace.measured(start.elapsed().as_secs_f64() * 1e3 + adapted.ms, adapted.cost);
         }
@@ -258,7 +272,8 @@ impl Player {
     /// Whether everything that a frame needs is in memory.
     fn is_ready(&mut self, view: &View, place: usize) -> bool {
         let step = self.step_at(place);
-        let Some(spans) = self.spans_in_memory(step) else { return false };
+        let Some(of_levels) = self.spans_in_memory(step) else { return false };
+        let spans = StepSpans::new(self.session.tree(), of_levels);
         let Self { session, residency, errors, cut, .. } = self;
         let Some(errors) = errors else { return false };
         let volume = session.view_volume(view);
@@ -334,13 +349,12 @@ impl Player {
     }
 
     /// Spans of all levels of a step, if none is missing that can be read.
-    fn spans_in_memory(&self, step: u32) -> Option<StepSpans> {
+    fn spans_in_memory(&self, step: u32) -> Option<Vec<Option<Spans>>> {
         let of_levels = (0..self.num_levels()).map(|level| match self.spans.get(&(step, level)) {
             Some(spans) => Some(Some(Arc::clone(spans))),
             None => self.spans_failed.contains(&(step, level)).then_some(None),
         });
-        let of_levels = of_levels.collect::<Option<Vec<_>>>()?;
-        Some(StepSpans { step, of_levels })
+        of_levels.collect()
     }
 
     /// Spans of the step to draw, waiting for them; those of the steps after it are asked for.
@@ -356,9 +370,10 @@ impl Player {
         self.ask_for_coarse_spans();
         let start = Instant::now();
         loop {
-            if let Some(spans) = self.spans_in_memory(ahead[0]) {
-                self.session.give_spans(&spans.of_levels, ahead[0]);
+            if let Some(of_levels) = self.spans_in_memory(ahead[0]) {
                 waited.ms += start.elapsed().as_secs_f64() * 1e3;
+                let spans = StepSpans::new(self.session.tree(), of_levels);
+                self.session.give_spans(spans.of_levels(), ahead[0]);
                 return Ok(spans);
             }
             self.hear()?;
@@ -453,15 +468,20 @@ impl Player {
         needed: &HashMap<HeldKey, SpanRecord>,
         of_splits: &[NodeId],
     ) {
-        let mut wants = Wants::new(self.session.store(), self.session.variable(), self.residency.budget_bytes());
+        let mut wants =
+            Wants::new(self.session.store(), self.session.variable(), self.residency.budget_bytes());
         needed.iter().for_each(|(key, record)| wants.add(*key, record, Tier::Needed));
         let tree = Arc::clone(self.session.tree());
         // The coarsest brick of the step stands in for everything that is late.
-        if let Some((key, record)) = spans.record(&tree, tree.root()).and_then(|r| Some((key_of(tree.root().level, r)?, r))) {
+        if let Some((key, record)) =
+            spans.record(&tree, tree.root()).and_then(|r| Some((key_of(tree.root().level, r)?, r)))
+        {
             wants.add(key, record, Tier::Needed);
         }
         for node in of_splits {
-            if let Some((key, record)) = spans.record(&tree, *node).and_then(|r| Some((key_of(node.level, r)?, r))) {
+            if let Some((key, record)) =
+                spans.record(&tree, *node).and_then(|r| Some((key_of(node.level, r)?, r)))
+            {
                 wants.add(key, record, Tier::Coming(0));
             }
         }
@@ -486,17 +506,19 @@ impl Player {
     fn want_ahead(&self, view: &View, place: usize, tree: &Octree, wants: &mut Wants<'_>) {
         let volume = self.session.view_volume(view);
         let header = self.session.store().header();
-        let on_cut: Vec<NodeId> = self.cut.nodes().filter(|node| volume.may_see(box_of(*node, header))).collect();
+        let on_cut: Vec<NodeId> =
+            self.cut.nodes().filter(|node| volume.may_see(box_of(*node, header))).collect();
         // The span of each that was wanted last.
         let mut last: Vec<Option<SpanRecord>> = vec![None; on_cut.len()];
         for distance in 1..=self.num_ahead {
             let step = self.step_at(place + distance);
             let Some(spans) = self.spans_in_memory(step) else { continue };
+            let record_of = |node: NodeId| spans[usize::from(node.level)].as_ref()?.get(tree.rank(node)?);
             for (node, last) in on_cut.iter().zip(&mut last) {
                 if last.is_some_and(|last| (last.start..last.start + last.len).contains(&step)) {
                     continue;
                 }
-                let Some(record) = spans.record(tree, *node) else { continue };
+                let Some(record) = record_of(*node) else { continue };
                 *last = Some(*record);
                 let is_seen = !view.transfer.is_transparent_over(record.drawn_range);
                 if let Some(key) = key_of(node.level, record).filter(|_| is_seen) {
@@ -630,7 +652,7 @@ impl Player {
             if missing.is_empty() {
                 break;
             }
-            if self.residency.is_stuck() {
+            if self.residency.num_in_flight() == 0 && self.spans_asked.is_empty() {
                 // What does not fit beside the rest is stood in for.
                 break;
             }

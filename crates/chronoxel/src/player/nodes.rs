@@ -1,6 +1,6 @@
 //! What the active cut asks of nodes: how wrong the picture is where one is drawn, what drawing it costs, and whether it is in memory.
 
-use std::{collections::HashMap, sync::Arc};
+use std::collections::HashMap;
 
 use chronoxel_core::{
     BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, SpanKind, SpanRecord, UniformGrid,
@@ -9,7 +9,7 @@ use chronoxel_core::{
 use chronoxel_store::Store;
 use chronoxel_stream::{NodeView, Residency, State, ViewVolume};
 
-use crate::session::{Held, HeldKey, View};
+use crate::session::{Held, HeldKey, Spans, View};
 
 /// Entries of the table that colours are estimated from.
 const NUM_ENTRIES: usize = 256;
@@ -21,16 +21,57 @@ const DECODE_COST: f64 = 0.25;
 const MOST_ERRORS: usize = 1 << 18;
 
 /// The spans of all levels at one step; `None` for levels whose spans are not in memory, or cannot be read.
-#[derive(Clone)]
 pub(super) struct StepSpans {
-    pub step: u32,
-    pub of_levels: Vec<Option<Arc<Vec<SpanRecord>>>>,
+    of_levels: Vec<Option<Spans>>,
+    /// `[level][rank]`: smallest and largest sample that is drawn of a node or of any below it. Filtering smooths peaks away, so that a node may be
+    /// transparent and what it stands for not.
+    ranges: Vec<Vec<[f64; 2]>>,
 }
 
+/// The range of nothing.
+const NO_RANGE: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
+
 impl StepSpans {
+    /// Of the spans of each level, finest first.
+    pub fn new(tree: &Octree, of_levels: Vec<Option<Spans>>) -> Self {
+        let mut ranges: Vec<Vec<[f64; 2]>> = Vec::with_capacity(of_levels.len());
+        for (level, spans) in of_levels.iter().enumerate() {
+            let nodes = tree.nodes(level as u8);
+            let own = |rank: usize| match spans.as_ref().map(|spans| spans[rank]) {
+                Some(record) if record.kind != SpanKind::Empty => record.drawn_range,
+                _ => NO_RANGE,
+            };
+            let mut of_level: Vec<[f64; 2]> = (0..nodes.len()).map(own).collect();
+            if let Some(below) = ranges.last() {
+                let children = tree.nodes(level as u8 - 1).iter().zip(below);
+                let mut rank = 0;
+                for (morton, range) in children {
+                    // Both lists are in Morton order.
+                    while nodes[rank] < morton >> 3 {
+                        rank += 1;
+                    }
+                    of_level[rank] = [of_level[rank][0].min(range[0]), of_level[rank][1].max(range[1])];
+                }
+            }
+            ranges.push(of_level);
+        }
+        Self { of_levels, ranges }
+    }
+
+    /// Level by level, as far as they are known.
+    pub fn of_levels(&self) -> &[Option<Spans>] {
+        &self.of_levels
+    }
+
     /// Of a node of a level, by its rank.
     pub fn record(&self, tree: &Octree, node: NodeId) -> Option<&SpanRecord> {
         self.of_levels[usize::from(node.level)].as_ref()?.get(tree.rank(node)?)
+    }
+
+    /// Smallest and largest sample that is drawn of a node or of any below it, if there is one.
+    fn range(&self, tree: &Octree, node: NodeId) -> Option<[f64; 2]> {
+        let range = self.ranges[usize::from(node.level)][tree.rank(node)?];
+        (range[0] <= range[1]).then_some(range)
     }
 }
 
@@ -54,7 +95,9 @@ impl ColorErrors {
     }
 
     /// The estimated spatial error of a node over a span (ellsworth2000, eq. 19), 0 where it has one colour.
-    fn of(&mut self, node: NodeId, record: &SpanRecord) -> f64 {
+    ///
+    /// * `range`: of everything below the node
+    fn of(&mut self, node: NodeId, record: &SpanRecord, [min, max]: [f64; 2]) -> f64 {
         let key = (node, record.start);
         if let Some(error) = self.known.get(&key) {
             return *error;
@@ -64,14 +107,14 @@ impl ColorErrors {
         }
         let statistics = &record.statistics;
         let is_masked = record.mask.is_some();
-        let is_uniform = matches!(record.kind, SpanKind::Constant(_)) && !is_masked;
+        let is_uniform = min == max && !is_masked;
         let estimate = approximate_spatial(
             &self.table,
             &self.view.transfer,
             &NodeStatistics {
-                min: statistics.min,
-                max: statistics.max,
-                mean: statistics.mean,
+                min,
+                max,
+                mean: statistics.mean.clamp(min, max),
                 std: statistics.std,
                 temporal_error: 0.0,
                 facts: NodeFacts { is_uniform, is_masked, ..NodeFacts::default() },
@@ -95,6 +138,8 @@ pub(super) struct FrameNodes<'a> {
     pub spans: &'a StepSpans,
     pub residency: &'a Residency<HeldKey>,
     pub errors: &'a mut ColorErrors,
+    /// Whether to say of every node that it is in memory, or will be waited for.
+    pub assumes_resident: bool,
 }
 
 impl FrameNodes<'_> {
@@ -155,8 +200,16 @@ pub(super) fn key_of(level: u8, record: &SpanRecord) -> Option<HeldKey> {
 
 impl NodeView for FrameNodes<'_> {
     fn error(&mut self, node: NodeId) -> f64 {
-        let Some(record) = self.drawn(node).copied() else { return 0.0 };
-        self.errors.of(node, &record) * self.pixels_per_voxel(node)
+        let is_seen = self.volume.may_see(self.region(node));
+        let Some(range) = self.spans.range(self.tree, node).filter(|_| is_seen) else { return 0.0 };
+        if self.view.transfer.is_transparent_over(range) {
+            return 0.0;
+        }
+        let error = match self.spans.record(self.tree, node).copied() {
+            Some(record) if record.statistics.count > 0 => self.errors.of(node, &record, range),
+            _ => 1.0,
+        };
+        error * self.pixels_per_voxel(node)
     }
 
     /// Samples along rays, and those to decode.
@@ -179,6 +232,7 @@ impl NodeView for FrameNodes<'_> {
 
     fn is_resident(&mut self, node: NodeId) -> bool {
         match self.spans.record(self.tree, node) {
+            _ if self.assumes_resident => true,
             None => false,
             Some(_) => self.key(node).is_none_or(|(key, _)| self.residency.state(&key) == State::Resident),
         }

@@ -25,18 +25,30 @@ impl CameraPath {
     pub fn from_json(text: &str) -> anyhow::Result<Self> {
         let value: Value = serde_json::from_str(text).context("not JSON")?;
         let keys = value.get("keys").and_then(Value::as_array).context("\"keys\": give a list of cameras")?;
-        ensure!((2..=MOST_KEYS).contains(&keys.len()), "\"keys\": {} of them: give 2 to {MOST_KEYS}", keys.len());
+        ensure!(
+            (2..=MOST_KEYS).contains(&keys.len()),
+            "\"keys\": {} of them: give 2 to {MOST_KEYS}",
+            keys.len()
+        );
         let num_placed = keys.iter().filter(|key| key.get("at").is_some()).count();
-        ensure!(num_placed == 0 || num_placed == keys.len(), "\"at\": give it for every key frame, or for none");
+        ensure!(
+            num_placed == 0 || num_placed == keys.len(),
+            "\"at\": give it for every key frame, or for none"
+        );
         let mut path: Vec<(f64, Camera)> = Vec::with_capacity(keys.len());
         for (number, key) in keys.iter().enumerate() {
             let what = || format!("key frame {number}");
             let mut camera = key.as_object().with_context(what)?.clone();
             let at = match camera.remove("at") {
                 None => number as f64 / (keys.len() - 1) as f64,
-                Some(at) => at.as_f64().with_context(|| format!("key frame {number}: \"at\" is {at}: give a number"))?,
+                Some(at) => at
+                    .as_f64()
+                    .with_context(|| format!("key frame {number}: \"at\" is {at}: give a number"))?,
             };
-            ensure!((0.0..=1.0).contains(&at), "key frame {number}: \"at\" is {at}: give a number from 0 to 1");
+            ensure!(
+                (0.0..=1.0).contains(&at),
+                "key frame {number}: \"at\" is {at}: give a number from 0 to 1"
+            );
             if let Some((before, _)) = path.last().filter(|(before, _)| *before >= at) {
                 bail!("key frame {number}: \"at\" is {at}, after {before}: they must increase");
             }
@@ -44,7 +56,10 @@ impl CameraPath {
             let is_same_kind = |(_, first): &(f64, Camera)| {
                 std::mem::discriminant(&first.projection()) == std::mem::discriminant(&camera.projection())
             };
-            ensure!(path.first().is_none_or(is_same_kind), "key frame {number}: give fov_y_deg, or ortho_height, for all");
+            ensure!(
+                path.first().is_none_or(is_same_kind),
+                "key frame {number}: give fov_y_deg, or ortho_height, for all"
+            );
             path.push((at, camera));
         }
         Ok(Self { keys: path })
@@ -55,7 +70,8 @@ impl CameraPath {
     /// # Errors
     /// As [`Self::from_json`], naming the file; or if it cannot be read.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot read", path.display()))?;
+        let text =
+            std::fs::read_to_string(path).with_context(|| format!("{}: cannot read", path.display()))?;
         Self::from_json(&text).with_context(|| path.display().to_string())
     }
 
@@ -73,8 +89,10 @@ impl CameraPath {
         let key = |number: usize| &self.keys[number.min(self.keys.len() - 1)];
         let around = [key(after.saturating_sub(2)), key(after - 1), key(after), key(after + 1)];
         let u = (at - around[1].0) / (around[2].0 - around[1].0);
-        let between = |value: &dyn Fn(&Camera) -> f64| smooth(around.map(|(place, camera)| (*place, value(camera))), u);
-        let vector = |value: fn(&Camera) -> [f64; 3]| std::array::from_fn(|a| between(&|camera| value(camera)[a]));
+        let between =
+            |value: &dyn Fn(&Camera) -> f64| smooth(around.map(|(place, camera)| (*place, value(camera))), u);
+        let vector =
+            |value: fn(&Camera) -> [f64; 3]| std::array::from_fn(|a| between(&|camera| value(camera)[a]));
         let projection = match around[1].1.projection() {
             Projection::Perspective { .. } => {
                 Projection::Perspective { fov_y_deg: between(&extent).clamp(0.001, 179.0) }
@@ -102,7 +120,8 @@ fn extent(camera: &Camera) -> f64 {
 /// * `u`: from the second point (0) to the third (1)
 fn smooth(points: [(f64, f64); 4], u: f64) -> f64 {
     let [(t0, p0), (t1, p1), (t2, p2), (t3, p3)] = points;
-    let slope = |(ta, pa): (f64, f64), (tb, pb): (f64, f64)| if tb > ta { (pb - pa) / (tb - ta) } else { 0.0 };
+    let slope =
+        |(ta, pa): (f64, f64), (tb, pb): (f64, f64)| if tb > ta { (pb - pa) / (tb - ta) } else { 0.0 };
     let (m1, m2) = (slope((t0, p0), (t2, p2)) * (t2 - t1), slope((t1, p1), (t3, p3)) * (t2 - t1));
     let (u2, u3) = (u * u, u * u * u);
     (2.0 * u3 - 3.0 * u2 + 1.0) * p1 + (u3 - 2.0 * u2 + u) * m1 + (3.0 * u2 - 2.0 * u3) * p2 + (u3 - u2) * m2

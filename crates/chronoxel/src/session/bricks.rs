@@ -187,8 +187,10 @@ impl Session {
         for of_level in wanted.chunk_by(|a, b| a.node.level == b.node.level) {
             let held = self.read(of_level);
             let layout = self.store.layout();
-            let prepared =
-                of_level.par_iter().zip(held).map(|(w, held)| (w, held.and_then(|held| prepare(layout, w, held))));
+            let prepared = of_level
+                .par_iter()
+                .zip(held)
+                .map(|(w, held)| (w, held.and_then(|held| prepare(layout, w, held))));
             loaded.par_extend(prepared);
         }
         loaded

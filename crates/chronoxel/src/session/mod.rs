@@ -128,7 +128,7 @@ pub struct Picture {
 }
 
 /// The spans of one level at one step, in the order of its nodes.
-type Spans = Arc<Vec<SpanRecord>>;
+pub(crate) type Spans = Arc<Vec<SpanRecord>>;
 
 /// An open store, one variable of which is drawn.
 pub struct Session {
@@ -161,6 +161,12 @@ const PORTION_SHARE: f64 = 0.2;
 const BYTES_PER_PIXEL: u64 = 40;
 /// Share for the records of spans, and for the statistics of time nodes.
 const SPANS_SHARE: f64 = 0.05;
+/// Share of payloads where a player decides what is in memory, with a GPU to draw.
+const PLAYED_ON_GPU_SHARE: f64 = 0.65;
+/// The same without.
+const PLAYED_SHARE: f64 = 0.45;
+/// Share of bricks ready to be drawn, and of those of one portion of a picture, there.
+const PLAYED_BRICKS_SHARE: f64 = 0.15;
 /// Share for what the store keeps of its indexes.
 const STORE_SHARE: f64 = 0.1;
 
@@ -289,28 +295,93 @@ impl Session {
             let [width, height] = view.size;
             bail!("--size {width}x{height} takes {picture_bytes} bytes, more than --memory allows; raise it");
         }
-        let step = step as u32;
         let start = Instant::now();
         let mut faults = Faults::default();
-        let items = self.select(view, step, weight, &mut faults)?;
-        let shares = Shares::of(&items, step, &self.store.header().grid);
+        let items = self.select(view, step as u32, weight, &mut faults, None)?;
         let select_ms = start.elapsed().as_secs_f64() * 1e3;
+        let picture = self.draw_selected(view, step as u32, weight, &items, faults)?;
+        Ok(Picture { fetch_ms: picture.fetch_ms + select_ms, ..picture })
+    }
+
+    /// Draws a draw list of a moment.
+    pub(crate) fn draw_selected(
+        &mut self,
+        view: &View,
+        step: u32,
+        weight: f64,
+        items: &[DrawItem],
+        faults: Faults,
+    ) -> anyhow::Result<Picture> {
+        let shares = Shares::of(items, step, &self.store.header().grid);
         let drawn = match self.on_gpu {
             Some(_) if weight > 0.0 => bail!("--blend-steps is drawn by the CPU: use --backend cpu"),
-            Some(_) => self.draw_on_gpu(view, &items, faults)?,
-            None => self.draw_on_cpu(view, step, weight, &items, faults)?,
+            Some(_) => self.draw_on_gpu(view, items, faults)?,
+            None => self.draw_on_cpu(view, step, weight, items, faults)?,
         };
         let Drawn { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = drawn;
-        Ok(Picture {
-            image,
-            samples,
-            bricks,
-            shares,
-            fetch_ms: select_ms + fetch_ms,
-            render_ms,
-            on_gpu,
-            warnings: faults.warnings,
-        })
+        let warnings = faults.warnings;
+        Ok(Picture { image, samples, bricks, shares, fetch_ms, render_ms, on_gpu, warnings })
+    }
+}
+
+/// What of the memory is for a player to fill.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lent {
+    /// For payloads and masks.
+    pub payload_bytes: usize,
+    /// For the records of spans.
+    pub spans_bytes: usize,
+}
+
+/// For a player, which decides what is in memory.
+impl Session {
+    pub(crate) fn store_shared(&self) -> &Arc<Store> {
+        &self.store
+    }
+
+    pub(crate) fn tree(&self) -> &Arc<Octree> {
+        &self.tree
+    }
+
+    /// Gives up keeping payloads, and most of keeping bricks: says how much a player may keep instead.
+    pub(crate) fn lend_memory(&mut self) -> Lent {
+        let share = |part: f64| (self.memory_bytes as f64 * part) as usize;
+        let [bricks, portion, payloads] = match self.on_gpu {
+            Some(_) => [0.0, 0.0, PLAYED_ON_GPU_SHARE],
+            None => [PLAYED_BRICKS_SHARE, PLAYED_BRICKS_SHARE, PLAYED_SHARE],
+        };
+        self.bricks = ByteLru::new(share(bricks));
+        self.portion_bytes = share(portion);
+        self.payloads = ByteLru::new(0);
+        Lent { payload_bytes: share(payloads), spans_bytes: share(SPANS_SHARE) }
+    }
+
+    /// Keeps what is stored of a span until it is taken back.
+    pub(crate) fn give(&mut self, key: HeldKey, held: Held) {
+        self.given.insert(key, held);
+    }
+
+    pub(crate) fn take_back(&mut self, key: &HeldKey) {
+        self.given.remove(key);
+    }
+
+    pub(crate) fn has(&self, key: &HeldKey) -> bool {
+        self.given.contains_key(key)
+    }
+
+    /// Spans of a step, level by level, as far as they are known.
+    pub(crate) fn give_spans(&mut self, of_levels: &[Option<Spans>], step: u32) {
+        for (level, spans) in of_levels.iter().enumerate() {
+            if let Some(spans) = spans {
+                let num_bytes = spans.len() * size_of::<SpanRecord>();
+                self.spans.insert((level as u8, step), Arc::clone(spans), num_bytes);
+            }
+        }
+    }
+
+    /// Spans that drawing itself had to read, because nobody had given them.
+    pub fn num_read_in_drawing(&self) -> u64 {
+        self.num_read
     }
 }
 
@@ -401,14 +472,14 @@ impl Session {
 
 /// Warnings of one picture; a flood of them is cut short.
 #[derive(Default)]
-struct Faults {
+pub(crate) struct Faults {
     warnings: Vec<String>,
 }
 
 impl Faults {
     const MOST: usize = 20;
 
-    fn warn(&mut self, warning: String) {
+    pub(crate) fn warn(&mut self, warning: String) {
         match self.warnings.len() {
             n if n < Self::MOST => self.warnings.push(warning),
             Self::MOST => self.warnings.push("more bricks are damaged; run verify to list them".into()),

@@ -10,8 +10,8 @@ use chronoxel_core::{
 };
 use chronoxel_store::StoreError;
 use chronoxel_stream::{
-    Appearance, ApproximateErrors, Coherence, DrawItem, Estimates, NodeErrors, ReferenceErrors, ScalarErrors,
-    Selector, StepStatistics, Tolerances, ViewVolume,
+    ActiveCut, Appearance, ApproximateErrors, Coherence, DrawItem, Estimates, NodeErrors, ReferenceErrors,
+    ScalarErrors, Selector, StepStatistics, Tolerances, ViewVolume,
 };
 
 use super::{Faults, Session, View, reference};
@@ -51,12 +51,15 @@ pub(super) struct Colors {
 
 impl Session {
     /// The draw list of a step. Damaged records of a level make the next coarser one stand in.
-    pub(super) fn select(
+    ///
+    /// * `cut`: where to stop, if not at the view's level
+    pub(crate) fn select(
         &mut self,
         view: &View,
         step: u32,
         weight: f64,
         faults: &mut Faults,
+        cut: Option<&ActiveCut>,
     ) -> anyhow::Result<Vec<DrawItem>> {
         let num_levels = self.store.tree().num_levels() as u8;
         let mut level = view.level.min(num_levels - 1);
@@ -65,7 +68,7 @@ impl Session {
             None => None,
         };
         loop {
-            match self.draw_list(view, step, weight, level, prepared.as_ref()) {
+            match self.draw_list(view, step, weight, (level, cut), prepared.as_ref()) {
                 Ok(items) => return Ok(items),
                 Err(error) if level + 1 < num_levels => {
                     faults.warn(format!("{error}; drawing level {} instead of {level}", level + 1));
@@ -81,13 +84,12 @@ impl Session {
         view: &View,
         step: u32,
         weight: f64,
-        level: u8,
+        (level, cut): (u8, Option<&ActiveCut>),
         prepared: Option<&Prepared>,
     ) -> Result<Vec<DrawItem>, StoreError> {
         let header = self.store.header();
         let (grid, layout, num_steps) = (header.grid, header.bricks, header.num_steps());
-        let aspect = view.size[0] as f64 / view.size[1] as f64;
-        let volume = ViewVolume::of_camera(&view.camera, aspect, &grid);
+        let volume = self.view_volume(view);
         let tree = Arc::clone(&self.tree);
         let range = self.variable_range();
         let selector = Selector {
@@ -97,7 +99,7 @@ impl Session {
             num_steps,
             step,
             level,
-            cut: None,
+            cut,
             view: &volume,
             skips_transparent: prepared.is_none_or(|p| p.choice.skips_transparent),
         };
@@ -119,6 +121,12 @@ impl Session {
         drop(errors);
         self.colors.estimates = estimates;
         items
+    }
+
+    /// What a view sees.
+    pub(crate) fn view_volume(&self, view: &View) -> ViewVolume {
+        let aspect = view.size[0] as f64 / view.size[1] as f64;
+        ViewVolume::of_camera(&view.camera, aspect, &self.store.header().grid)
     }
 
     /// Reads the statistics of a step, and makes ready what the metric needs.
@@ -196,7 +204,7 @@ impl Session {
     }
 
     /// The record of a node at a step.
-    pub(super) fn record(
+    pub(crate) fn record(
         &mut self,
         tree: &Octree,
         node: NodeId,
