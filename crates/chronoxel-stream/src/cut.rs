@@ -4,6 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use chronoxel_core::{BrickLayout, NodeId, Octree, UniformGrid};
 
+mod frame;
+
+use frame::Frame;
+
+/// Rounds of [`ActiveCut::refine_fully`]; one or two are enough but for long chains of exchanges.
+const MOST_ROUNDS: usize = 64;
+
 /// What a cut may take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutLimits {
@@ -59,7 +66,6 @@ pub struct CutChange {
 pub struct ActiveCut {
     /// Bricks of level 0 along each axis, to tell an octant that does not exist from one outside the grid.
     bricks: [u32; 3],
-    edge: usize,
     nodes: BTreeSet<NodeId>,
     /// Split nodes that still draw some octants, and how many.
     partial: BTreeMap<NodeId, u8>,
@@ -71,41 +77,48 @@ impl ActiveCut {
     pub fn new(tree: &Octree, grid: &UniformGrid, layout: &BrickLayout) -> Self {
         let bricks = grid.dims.map(|n| n.div_ceil(layout.edge) as u32);
         let nodes = BTreeSet::from([tree.root()]);
-        Self { bricks, edge: layout.edge, nodes, partial: BTreeMap::new(), pending: BTreeSet::new() }
+        Self { bricks, nodes, partial: BTreeMap::new(), pending: BTreeSet::new() }
     }
 
     /// Adapts the cut to a frame.
+    ///
+    /// In this order: nodes finer than the finest level merge; while the cut exceeds a limit, nodes merge, the smallest error first; visible nodes without
+    /// error merge where that makes drawing cheaper; nodes split, the largest error first. A split that does not fit is exchanged for merges whose
+    /// errors together are smaller than its own, so that the error of all that is not split falls. Nodes that are not drawn merge only when their room
+    /// is needed. A split whose children (or an exchange whose merged nodes) are not resident stays pending: its room is kept, what it needs is wanted, and it goes
+    /// on in a later frame unless a better candidate comes up.
+    ///
+    /// Merges that a limit or the finest level forces do not wait for payloads: an ancestor stands in until the node is loaded.
     pub fn adapt(&mut self, tree: &Octree, limits: &CutLimits, view: &mut dyn NodeView) -> CutChange {
-        let mut change = CutChange::default();
-        let candidates: Vec<NodeId> = self.nodes.iter().copied().collect();
-        for node in candidates.into_iter().rev() {
-            let children = children_of(tree, node);
-            if node.level <= limits.finest_level || children.is_empty() || view.error(node) <= 0.0 {
-                continue;
-            }
-            let absent: Vec<NodeId> = children.iter().copied().filter(|c| !view.is_resident(*c)).collect();
-            if absent.is_empty() && change.splits.len() < limits.most_splits_per_frame {
-                self.nodes.remove(&node);
-                self.nodes.extend(&children);
-                change.splits.push(node);
-            }
-            change.wanted.extend(absent);
-        }
-        change.is_settled = change.splits.is_empty() && change.wanted.is_empty();
-        change
+        Frame::new(self, tree, limits, view).adapt()
     }
 
     /// Adapts the cut as far as it goes under the limits, whether payloads are there or not: for a first frame that is waited for.
+    ///
+    /// The change lists every split and merge on the way.
     pub fn refine_fully(&mut self, tree: &Octree, limits: &CutLimits, view: &mut dyn NodeView) -> CutChange {
+        let limits = CutLimits { most_splits_per_frame: usize::MAX, ..*limits };
         let mut all = CutChange::default();
-        loop {
-            let change = self.adapt(tree, limits, &mut AllResident(view));
-            if change.splits.is_empty() && change.merges.is_empty() {
-                return all;
-            }
+        for _ in 0..MOST_ROUNDS {
+            let change = self.adapt(tree, &limits, &mut AllResident(view));
+            all.is_settled = change.is_settled;
             all.splits.extend(change.splits);
             all.merges.extend(change.merges);
+            if all.is_settled {
+                break;
+            }
         }
+        all
+    }
+
+    /// Octants of a node in which the grid has samples but no child exists.
+    fn num_missing(&self, tree: &Octree, node: NodeId) -> u8 {
+        let is_inside = |child: &NodeId| {
+            let low = child.brick().map(|b| u64::from(b) << child.level);
+            (0..3).all(|a| low[a] < u64::from(self.bricks[a]))
+        };
+        let inside = (0..8).filter_map(|octant| node.child(octant)).filter(is_inside);
+        inside.filter(|child| tree.rank(*child).is_none()).count() as u8
     }
 
     /// Whether a node is on the cut.
@@ -150,7 +163,5 @@ impl NodeView for AllResident<'_> {
     }
 }
 
-/// Children of a node that exist.
-fn children_of(tree: &Octree, node: NodeId) -> Vec<NodeId> {
-    (0..8).filter_map(|octant| node.child(octant)).filter(|child| tree.rank(*child).is_some()).collect()
-}
+#[cfg(test)]
+mod tests;

@@ -7,6 +7,8 @@ pub mod cut;
 pub mod metric;
 pub mod pace;
 pub mod prefetch;
+#[cfg(test)]
+mod random;
 pub mod residency;
 pub mod select;
 pub mod shares;
