@@ -234,7 +234,8 @@ impl Player {
         if let Some(pace) = &mut self.pace {
             pace.measured(start.elapsed().as_secs_f64() * 1e3 + adapted.ms, adapted.cost);
         }
-        let is_settled = adapted.is_settled && num_stand_ins == 0;
+        let is_refined = is_at_rest || self.pace.is_none();
+        let is_settled = adapted.is_settled && is_refined && num_stand_ins == 0;
         self.before = Some((view.clone(), step, is_settled));
         Ok(Played {
             picture: Some(picture),
