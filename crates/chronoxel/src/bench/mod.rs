@@ -8,6 +8,7 @@ pub mod binotto2003_speed;
 pub mod ellsworth2000;
 mod input;
 pub mod lum2001;
+pub mod lum2001_playback;
 mod stepping;
 mod workplace;
 

@@ -11,14 +11,14 @@ use crate::{
 };
 
 /// Size of the pictures, as in lum2001.
-const SIZE: [usize; 2] = [512, 512];
+pub(super) const SIZE: [usize; 2] = [512, 512];
 /// Share of the picture that the box of the volume covers at most.
 const SHARE: f64 = 1.0 / 3.0;
 const AZIMUTH_DEG: f64 = 30.0;
 const ELEVATION_DEG: f64 = 20.0;
 const FOV_Y_DEG: f64 = 30.0;
 /// One sample per slice, as slices drawn as polygons have it.
-const STEP_VOXELS: f64 = 1.0;
+pub(super) const STEP_VOXELS: f64 = 1.0;
 
 /// What stepping through a store took.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,7 +108,7 @@ fn timed(
 }
 
 /// A camera that shows all of a grid's box as large as possible, but not over [`SHARE`] of the picture; and its share.
-fn camera_for_share(grid: &UniformGrid) -> anyhow::Result<(Camera, f64)> {
+pub(super) fn camera_for_share(grid: &UniformGrid) -> anyhow::Result<(Camera, f64)> {
     let at_zoom = |zoom: f64| {
         let camera = orbit_camera(grid, [AZIMUTH_DEG, ELEVATION_DEG], zoom, Some(FOV_Y_DEG), SIZE)?;
         let share = covered_share(&camera, grid);

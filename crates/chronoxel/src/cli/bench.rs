@@ -14,7 +14,10 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, lum2001},
+    bench::{
+        BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, lum2001,
+        lum2001_playback,
+    },
     progress::{Counted, Progress},
 };
 
@@ -29,6 +32,8 @@ use crate::{
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
+  lum2001-playback
+               frames per second in memory and from disk at 1, 2, 4 and 8 steps in a byte, with reading throttled to the paper's disk and without
   binotto2003  index and refinement textures: sparseness, cells and compression ratio at three levels, beside what a store takes
   binotto2003-speed
                frames per second at 200 and 500 slices and three sizes of picture, on the CPU and on a GPU where there is one
@@ -57,6 +62,9 @@ pub struct BenchArgs {
 enum BenchName {
     /// Texture hardware assisted rendering of time-varying volume data (Lum, Ma, Clyne, 2001)
     Lum2001,
+    /// The same, its tables of frame rates
+    #[value(name = "lum2001-playback")]
+    Lum2001Playback,
     /// Real-time volume rendering of time-varying data using a fragment-shader compression approach (Binotto, Comba, Freitas, 2003)
     Binotto2003,
     /// The same, its table of frame rates
@@ -84,6 +92,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     };
     let names = match args.name {
         BenchName::Lum2001 => lum2001::sources(&args.source, size),
+        BenchName::Lum2001Playback => lum2001_playback::sources(&args.source, size),
         BenchName::Binotto2003 => binotto2003::sources(&args.source),
         BenchName::Binotto2003Speed => binotto2003_speed::sources(&args.source, size),
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
@@ -105,6 +114,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
     };
     let report = match args.name {
         BenchName::Lum2001 => lum2001::run(inputs, &place, common.memory.0, &mut progress)?,
+        BenchName::Lum2001Playback => lum2001_playback::run(inputs, &place, common.memory.0, &mut progress)?,
         BenchName::Binotto2003 => binotto2003::run(inputs, &place, common.memory.0, &mut progress)?,
         BenchName::Binotto2003Speed => {
             binotto2003_speed::run(inputs, &place, common.memory.0, &mut progress)?
