@@ -139,6 +139,8 @@ pub struct Residency<K> {
     queue: [BinaryHeap<Queued<K>>; 2],
     /// Residents by `is_coarse`. Uses since a candidate was put in are not seen until it comes up.
     candidates: [BinaryHeap<Candidate<K>>; 2],
+    /// Whether they were gathered since the wants changed.
+    has_candidates: bool,
     /// Bytes held and reserved by `is_coarse`.
     used: [usize; 2],
     reserved: usize,
@@ -169,6 +171,7 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
             tries: HashMap::new(),
             queue: [BinaryHeap::new(), BinaryHeap::new()],
             candidates: [BinaryHeap::new(), BinaryHeap::new()],
+            has_candidates: true,
             used: [0; 2],
             reserved: 0,
             wanted_coarse: 0,
@@ -191,8 +194,9 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         self.now += 1;
         let mut queue = Vec::new();
         for (n, want) in wants.into_iter().enumerate() {
-            self.want(want);
-            queue.push(Reverse((want.tier, (n as u32).min(LAST - 1), want.key)));
+            if self.want(want) == Place::Absent {
+                queue.push(Reverse((want.tier, (n as u32).min(LAST - 1), want.key)));
+            }
         }
         self.settle_wants();
         let mut lists = [Vec::new(), Vec::new()];
@@ -200,17 +204,17 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
             let Reverse((tier, _, key)) = item;
             // A key's most urgent want stands for all of them.
             if let Some(entry) = self.entries.get(&key)
-                && entry.place == Place::Absent
                 && entry.tier == Some(tier)
             {
                 lists[usize::from(entry.is_coarse)].push(item);
             }
         }
         self.queue = lists.map(BinaryHeap::from);
-        self.rebuild_candidates();
+        self.has_candidates = false;
     }
 
-    fn want(&mut self, want: Want<K>) {
+    /// Takes a want in, and says where its payload is.
+    fn want(&mut self, want: Want<K>) -> Place {
         let entry = self.entries.entry(want.key).or_insert(NOT_WANTED);
         let before = *entry;
         if entry.generation != self.generation {
@@ -237,6 +241,7 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         let bytes = bytes_of(entry);
         self.used[usize::from(before.is_coarse)] -= bytes;
         self.used[usize::from(entry.is_coarse)] += bytes;
+        entry.place
     }
 
     /// Takes the wants away that this generation did not repeat.
@@ -268,7 +273,8 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         });
     }
 
-    fn rebuild_candidates(&mut self) {
+    fn gather_candidates(&mut self) {
+        self.has_candidates = true;
         let mut lists = [Vec::new(), Vec::new()];
         for (key, entry) in &self.entries {
             if let Place::Resident { last_use, .. } = entry.place {
@@ -389,6 +395,9 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
 
     /// The first of a class to go, checked against what it is now.
     fn least_urgent(&mut self, class: usize) -> Option<Candidate<K>> {
+        if !self.has_candidates {
+            self.gather_candidates();
+        }
         loop {
             let candidate = *self.candidates[class].peek()?;
             let (rank, Reverse(seen), key) = candidate;
@@ -465,7 +474,9 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
             entry.place = Place::Resident { num_bytes, last_use };
             let class = usize::from(entry.is_coarse);
             self.used[class] += num_bytes;
-            self.candidates[class].push((entry.rank(), Reverse(last_use), key));
+            if self.has_candidates {
+                self.candidates[class].push((entry.rank(), Reverse(last_use), key));
+            }
             self.note_peak();
         }
         self.entries.insert(key, entry);
