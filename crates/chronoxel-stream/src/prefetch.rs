@@ -1,5 +1,7 @@
 //! Which steps come next: where playback will be, so that payloads are there before it is.
 
+use std::collections::HashSet;
+
 use crate::Tier;
 
 /// A position in a series, and how it moves.
@@ -36,23 +38,17 @@ impl Playhead {
     /// The step shown and at most `most` different ones after it, in the order in which they will be shown.
     pub fn coming(&self, most: u32) -> Vec<(u32, Tier)> {
         let mut steps = vec![(self.step(), Tier::Needed)];
-        let mut seen = std::collections::HashSet::from([self.step()]);
+        let mut seen = HashSet::from([self.step()]);
         let mut at = *self;
-        // Slow playback shows a step in many frames: whole frames are passed over until it changes.
-        let frames_per_step = (1.0 / self.steps_per_frame.abs()).ceil().min(1e6) as u32;
-        for _ in 0..most.min(self.num_steps) {
-            let before = at.step();
-            for _ in 0..frames_per_step {
-                match at.next() {
-                    Some(next) => at = next,
-                    None => return steps,
-                }
-                if at.step() != before {
-                    break;
-                }
-            }
-            if !seen.insert(at.step()) {
-                break;
+        if self.steps_per_frame.abs() < 1.0 {
+            // Every step is shown, each in several frames.
+            at.position = f64::from(self.step());
+            at.steps_per_frame = self.steps_per_frame.signum();
+        }
+        while self.steps_per_frame != 0.0 && steps.len() as u64 <= u64::from(most) {
+            match at.next() {
+                Some(next) if seen.insert(next.step()) => at = next,
+                _ => break,
             }
             steps.push((at.step(), Tier::Coming(steps.len() as u32)));
         }
@@ -83,4 +79,81 @@ pub fn scrubbing(num_steps: u32, step: u32, direction: i32, most: u32) -> Vec<(u
         behind += 1;
     }
     steps
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn head(num_steps: u32, position: f64, steps_per_frame: f64, is_looping: bool) -> Playhead {
+        Playhead { num_steps, position, steps_per_frame, is_looping }
+    }
+
+    /// Steps that come, checked to have tiers 1, 2, … after the one shown.
+    fn coming(playhead: Playhead, most: u32) -> Vec<u32> {
+        numbered(playhead.coming(most))
+    }
+
+    fn numbered(steps: Vec<(u32, Tier)>) -> Vec<u32> {
+        let tiers = steps.iter().enumerate().map(|(n, _)| match n {
+            0 => Tier::Needed,
+            n => Tier::Coming(n as u32),
+        });
+        assert!(tiers.eq(steps.iter().map(|(_, tier)| *tier)), "{steps:?}");
+        steps.into_iter().map(|(step, _)| step).collect()
+    }
+
+    #[test]
+    fn steps_come_in_the_direction_of_play() {
+        assert_eq!(coming(head(10, 4.0, 1.0, false), 3), [4, 5, 6, 7]);
+        assert_eq!(coming(head(10, 4.0, -1.0, false), 3), [4, 3, 2, 1]);
+        assert_eq!(coming(head(10, 4.0, 0.0, true), 3), [4]);
+    }
+
+    #[test]
+    fn fast_play_passes_steps_over_and_slow_play_repeats_them() {
+        assert_eq!(coming(head(100, 0.0, 8.0, false), 4), [0, 8, 16, 24, 32]);
+        assert_eq!(coming(head(100, 5.0, 2.5, false), 4), [5, 7, 10, 12, 15]);
+        assert_eq!(coming(head(100, 5.0, 0.25, false), 2), [5, 6, 7]);
+        assert_eq!(coming(head(100, 5.75, 0.25, false), 2), [5, 6, 7]);
+        assert_eq!(coming(head(100, 5.0, 1.5, false), 3), [5, 6, 8, 9]);
+    }
+
+    #[test]
+    fn a_series_ends_or_starts_over() {
+        assert_eq!(coming(head(10, 8.0, 1.0, false), 5), [8, 9]);
+        assert_eq!(coming(head(10, 8.0, 1.0, true), 5), [8, 9, 0, 1, 2, 3]);
+        assert_eq!(coming(head(10, 1.0, -1.0, true), 3), [1, 0, 9, 8]);
+        assert_eq!(coming(head(20, 16.0, 8.0, true), 5), [16, 0, 8], "each round shows the same steps");
+        assert_eq!(coming(head(3, 0.0, 1.0, true), 50), [0, 1, 2]);
+        assert_eq!(coming(head(1, 0.0, 1.0, true), 5), [0]);
+        assert_eq!(coming(head(5, 4.0, -0.5, false), 9), [4, 3, 2, 1, 0]);
+        assert_eq!(head(10, 9.0, 1.0, false).next(), None);
+        assert_eq!(head(10, 9.0, f64::NAN, true).next(), None);
+    }
+
+    /// What was announced is what is then shown.
+    #[test]
+    fn play_shows_what_was_announced() {
+        for speed in [1.0, -1.0, 0.3, -0.7, 2.5, 8.0, -3.0, 1e-9, 1e12] {
+            let mut at = head(40, 17.0, speed, true);
+            for _ in 0..200 {
+                let announced = coming(at, 1);
+                let Some(next) = at.next() else { break };
+                at = next;
+                assert!(announced.contains(&at.step()), "{speed}: {announced:?} before {}", at.step());
+            }
+        }
+    }
+
+    #[test]
+    fn scrubbing_looks_both_ways() {
+        assert_eq!(numbered(scrubbing(100, 50, 0, 4)), [50, 51, 49, 52, 48]);
+        assert_eq!(numbered(scrubbing(100, 50, 1, 6)), [50, 51, 52, 49, 53, 54, 48]);
+        assert_eq!(numbered(scrubbing(100, 50, -1, 3)), [50, 49, 48, 51]);
+        assert_eq!(numbered(scrubbing(100, 99, 1, 3)), [99, 98, 97, 96]);
+        let mut all = numbered(scrubbing(9, 2, -1, 50));
+        all.sort();
+        assert_eq!(all, (0..9).collect::<Vec<_>>());
+    }
 }

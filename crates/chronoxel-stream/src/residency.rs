@@ -94,12 +94,26 @@ struct Entry {
     is_coarse: bool,
     /// Bytes to reserve.
     bound: usize,
+    /// What it took when it was last loaded, while it is wanted.
+    learned: usize,
+    /// Whether the wants before these needed it.
+    was_needed: bool,
     /// Which call of `set_wants` wanted it last.
     generation: u64,
 }
 
 /// Urgency for eviction: what is not wanted comes last.
 type Rank = (bool, Tier);
+
+const NOT_WANTED: Entry = Entry {
+    place: Place::Absent,
+    tier: None,
+    is_coarse: false,
+    bound: 0,
+    learned: 0,
+    was_needed: false,
+    generation: 0,
+};
 
 impl Entry {
     fn rank(&self) -> Rank {
@@ -110,6 +124,9 @@ impl Entry {
 /// A resident payload in the order of eviction: least urgent first, then least recently used.
 type Candidate<K> = (Rank, Reverse<u64>, K);
 
+/// A wanted payload in the order of loading: most urgent first, then as the shell listed them.
+type Queued<K> = Reverse<(Tier, u32, K)>;
+
 /// States of payloads under a budget. See the [module](self).
 #[derive(Debug)]
 pub struct Residency<K> {
@@ -118,10 +135,12 @@ pub struct Residency<K> {
     most_in_flight: usize,
     entries: HashMap<K, Entry>,
     tries: HashMap<K, u8>,
-    /// Queued keys, most urgent first; keys that are no longer queued are passed over.
-    queue: BinaryHeap<Reverse<(Tier, u32, K)>>,
+    /// Queued keys by `is_coarse`; those that are no longer queued are passed over.
+    queue: [BinaryHeap<Queued<K>>; 2],
     /// Residents by `is_coarse`. Uses since a candidate was put in are not seen until it comes up.
     candidates: [BinaryHeap<Candidate<K>>; 2],
+    /// Whether they were gathered since the wants changed.
+    has_candidates: bool,
     /// Bytes held and reserved by `is_coarse`.
     used: [usize; 2],
     reserved: usize,
@@ -150,8 +169,9 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
             most_in_flight,
             entries: HashMap::new(),
             tries: HashMap::new(),
-            queue: BinaryHeap::new(),
+            queue: [BinaryHeap::new(), BinaryHeap::new()],
             candidates: [BinaryHeap::new(), BinaryHeap::new()],
+            has_candidates: true,
             used: [0; 2],
             reserved: 0,
             wanted_coarse: 0,
@@ -174,50 +194,54 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         self.now += 1;
         let mut queue = Vec::new();
         for (n, want) in wants.into_iter().enumerate() {
-            self.want(want);
-            queue.push(Reverse((want.tier, (n as u32).min(LAST - 1), want.key)));
-        }
-        self.settle_wants();
-        // A key's most urgent want stands for all of them; the others are passed over once it is no longer queued.
-        queue.retain(|Reverse((tier, _, key))| {
-            self.entries.get(key).is_some_and(|e| e.place == Place::Absent && e.tier == Some(*tier))
-        });
-        self.queue = BinaryHeap::from(queue);
-        self.rebuild_candidates();
-    }
-
-    fn want(&mut self, want: Want<K>) {
-        let generation = self.generation;
-        let is_coarse = want.tier == Tier::Coarse;
-        let absent = Entry { place: Place::Absent, tier: None, is_coarse, bound: 0, generation: 0 };
-        let entry = self.entries.entry(want.key).or_insert(absent);
-        let was_needed = entry.tier == Some(Tier::Needed);
-        let is_first = entry.generation != generation;
-        let coarse_before = !is_first && entry.is_coarse;
-        let (tier, bound) = match (is_first, entry.tier) {
-            (false, Some(tier)) => (tier.min(want.tier), entry.bound.max(want.num_bytes)),
-            _ => (want.tier, want.num_bytes),
-        };
-        let tracked = entry.is_coarse;
-        entry.tier = Some(tier);
-        entry.bound = bound;
-        entry.generation = generation;
-        entry.is_coarse = is_coarse || coarse_before;
-        let (bytes, now_coarse) = (bytes_of(entry), entry.is_coarse);
-        if let Place::Resident { last_use, .. } = &mut entry.place
-            && tier == Tier::Needed
-        {
-            *last_use = self.now;
-        }
-        let is_resident = matches!(entry.place, Place::Resident { .. });
-        self.used[usize::from(tracked)] -= bytes;
-        self.used[usize::from(now_coarse)] += bytes;
-        if tier == Tier::Needed && !was_needed {
-            match is_resident {
-                true => self.counts.hits += 1,
-                false => self.counts.misses += 1,
+            if self.want(want) == Place::Absent {
+                queue.push(Reverse((want.tier, (n as u32).min(LAST - 1), want.key)));
             }
         }
+        self.settle_wants();
+        let mut lists = [Vec::new(), Vec::new()];
+        for item in queue {
+            let Reverse((tier, _, key)) = item;
+            // A key's most urgent want stands for all of them.
+            if let Some(entry) = self.entries.get(&key)
+                && entry.tier == Some(tier)
+            {
+                lists[usize::from(entry.is_coarse)].push(item);
+            }
+        }
+        self.queue = lists.map(BinaryHeap::from);
+        self.has_candidates = false;
+    }
+
+    /// Takes a want in, and says where its payload is.
+    fn want(&mut self, want: Want<K>) -> Place {
+        let entry = self.entries.entry(want.key).or_insert(NOT_WANTED);
+        let before = *entry;
+        if entry.generation != self.generation {
+            entry.generation = self.generation;
+            entry.was_needed = entry.tier == Some(Tier::Needed);
+            entry.is_coarse = false;
+            entry.bound = entry.learned;
+            entry.tier = None;
+        }
+        let is_needed_already = entry.tier == Some(Tier::Needed);
+        entry.tier = Some(entry.tier.map_or(want.tier, |tier| tier.min(want.tier)));
+        entry.is_coarse |= want.tier == Tier::Coarse;
+        entry.bound = entry.bound.max(want.num_bytes);
+        if entry.tier == Some(Tier::Needed) && !is_needed_already {
+            let is_new = u64::from(!entry.was_needed);
+            match &mut entry.place {
+                Place::Resident { last_use, .. } => {
+                    *last_use = self.now;
+                    self.counts.hits += is_new;
+                }
+                _ => self.counts.misses += is_new,
+            }
+        }
+        let bytes = bytes_of(entry);
+        self.used[usize::from(before.is_coarse)] -= bytes;
+        self.used[usize::from(entry.is_coarse)] += bytes;
+        entry.place
     }
 
     /// Takes the wants away that this generation did not repeat.
@@ -249,7 +273,8 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         });
     }
 
-    fn rebuild_candidates(&mut self) {
+    fn gather_candidates(&mut self) {
+        self.has_candidates = true;
         let mut lists = [Vec::new(), Vec::new()];
         for (key, entry) in &self.entries {
             if let Place::Resident { last_use, .. } = entry.place {
@@ -275,33 +300,32 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
     pub fn next_requests_within(&mut self, most_bytes: usize) -> Vec<K> {
         let mut requests = Vec::new();
         let mut left_bytes = most_bytes;
-        let mut passed = Vec::new();
+        let mut passed = [Vec::new(), Vec::new()];
         // Once a want is refused, what is less urgent must not take the room that it waits for.
         let mut is_refused = [false; 2];
-        while self.in_flight < self.most_in_flight && is_refused != [true; 2] {
-            let Some(Reverse(item)) = self.queue.pop() else { break };
-            let (tier, _, key) = item;
-            let Some(entry) = self.entries.get(&key).copied().filter(|e| e.place == Place::Absent) else {
-                continue;
-            };
-            if entry.tier != Some(tier) || self.has_failed(&key) {
-                continue;
-            }
-            let class = usize::from(entry.is_coarse);
+        while self.in_flight < self.most_in_flight {
+            let open = (0..2).filter(|&class| !is_refused[class]);
+            let Some(class) = open.max_by_key(|&class| self.queue[class].peek()) else { break };
+            let Some(item) = self.queue[class].pop() else { break };
+            let Reverse((tier, _, key)) = item;
+            let entry = self.entries.get(&key).filter(|e| e.place == Place::Absent && e.tier == Some(tier));
+            let Some(entry) = entry.copied().filter(|_| !self.has_failed(&key)) else { continue };
             if entry.bound > left_bytes && !requests.is_empty() {
-                passed.push(item);
+                passed[class].push(item);
                 break;
             }
-            if is_refused[class] || !self.make_room(&entry) {
-                passed.push(item);
-                is_refused[class] |= entry.bound <= self.most_ever(class);
+            if !self.make_room(&entry) {
+                passed[class].push(item);
+                is_refused[class] = entry.bound <= self.most_ever(class);
                 continue;
             }
             self.reserve(key, entry.bound);
             left_bytes = left_bytes.saturating_sub(entry.bound);
             requests.push(key);
         }
-        self.queue.extend(passed.into_iter().map(Reverse));
+        for (queue, passed) in self.queue.iter_mut().zip(passed) {
+            queue.extend(passed);
+        }
         requests
     }
 
@@ -371,6 +395,9 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
 
     /// The first of a class to go, checked against what it is now.
     fn least_urgent(&mut self, class: usize) -> Option<Candidate<K>> {
+        if !self.has_candidates {
+            self.gather_candidates();
+        }
         loop {
             let candidate = *self.candidates[class].peek()?;
             let (rank, Reverse(seen), key) = candidate;
@@ -396,18 +423,14 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         let Some(entry) = self.entries.get_mut(&key) else { return };
         self.used[usize::from(entry.is_coarse)] -= bytes_of(entry);
         entry.place = Place::Absent;
-        if entry.tier.is_none() {
-            self.entries.remove(&key);
-        } else {
-            self.queue_again(key);
-        }
+        self.put_back(key);
         self.evicted.push(key);
         self.counts.evictions += 1;
     }
 
     fn queue_again(&mut self, key: K) {
-        if let Some(Entry { tier: Some(tier), .. }) = self.entries.get(&key) {
-            self.queue.push(Reverse((*tier, LAST, key)));
+        if let Some(Entry { tier: Some(tier), is_coarse, .. }) = self.entries.get(&key) {
+            self.queue[usize::from(*is_coarse)].push(Reverse((*tier, LAST, key)));
         }
     }
 
@@ -417,10 +440,14 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         withdrawn.retain(|key| {
             matches!(entries.get(key), Some(Entry { place: Place::Loading { is_withdrawn: true, .. }, .. }))
         });
+        // Wanted and not wanted again in turns, a load was noted more than once.
+        withdrawn.sort_unstable();
+        withdrawn.dedup();
         std::mem::take(withdrawn)
     }
 
-    /// What is to be dropped now.
+    /// What is to be dropped now: to be asked for after every call that can make room ([`Self::next_requests`], [`Self::loaded`],
+    /// [`Self::set_budget`]), before anything new is put in its place.
     pub fn take_evicted(&mut self) -> Vec<K> {
         std::mem::take(&mut self.evicted)
     }
@@ -431,44 +458,50 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
     }
 
     /// A load ended well; whether it may stay. Where it may not, there is no room for it any more, and it must be dropped.
+    ///
+    /// What is wanted no more stays where its room is still there, as anything else that is not wanted.
+    ///
+    /// * `num_bytes`: what it takes in fact
     pub fn loaded(&mut self, key: K, num_bytes: usize) -> bool {
-        let Some(mut entry) = self.end_load(key) else { return false };
+        let Some((mut entry, reserved)) = self.end_load(key) else { return false };
         self.tries.remove(&key);
-        entry.bound = num_bytes;
-        if !self.make_room(&entry) {
-            self.counts.wasted += 1;
-            self.put_back(key, num_bytes);
-            return false;
-        }
-        self.now += 1;
-        let last_use = self.now;
-        entry.place = Place::Resident { num_bytes, last_use };
-        self.used[usize::from(entry.is_coarse)] += num_bytes;
-        self.candidates[usize::from(entry.is_coarse)].push((entry.rank(), Reverse(last_use), key));
-        if entry.tier.is_none() {
-            self.counts.wasted += 1;
+        (entry.bound, entry.learned) = (num_bytes, num_bytes);
+        let fits = num_bytes <= reserved || self.make_room(&entry);
+        self.counts.wasted += u64::from(!fits || entry.tier.is_none());
+        if fits {
+            self.now += 1;
+            let last_use = self.now;
+            entry.place = Place::Resident { num_bytes, last_use };
+            let class = usize::from(entry.is_coarse);
+            self.used[class] += num_bytes;
+            if self.has_candidates {
+                self.candidates[class].push((entry.rank(), Reverse(last_use), key));
+            }
+            self.note_peak();
         }
         self.entries.insert(key, entry);
-        self.note_peak();
-        true
+        self.put_back(key);
+        fits
     }
 
     /// A load failed. It is tried again while it is wanted, three times in all, and then counts as failed.
     pub fn failed(&mut self, key: K) {
-        let Some(entry) = self.end_load(key) else { return };
+        if self.end_load(key).is_none() {
+            return;
+        }
         self.counts.failures += 1;
         let tries = self.tries.entry(key).or_default();
         *tries += 1;
         if *tries == MOST_TRIES {
             self.newly_failed.push(key);
         }
-        self.put_back(key, entry.bound);
+        self.put_back(key);
     }
 
     /// A load was given up because it was withdrawn; where it is wanted again by now, it is queued again.
     pub fn cancelled(&mut self, key: K) {
-        if let Some(entry) = self.end_load(key) {
-            self.put_back(key, entry.bound);
+        if self.end_load(key).is_some() {
+            self.put_back(key);
         }
     }
 
@@ -482,24 +515,23 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         }
     }
 
-    /// Frees what a load had reserved; `None` where there was no such load.
-    fn end_load(&mut self, key: K) -> Option<Entry> {
+    /// Frees what a load had reserved, and says how much that was; `None` where there was no such load.
+    fn end_load(&mut self, key: K) -> Option<(Entry, usize)> {
         let entry = self.entries.get_mut(&key)?;
         let Place::Loading { reserved, .. } = entry.place else { return None };
         entry.place = Place::Absent;
         self.used[usize::from(entry.is_coarse)] -= reserved;
         self.reserved -= reserved;
         self.in_flight -= 1;
-        Some(*entry)
+        Some((*entry, reserved))
     }
 
-    /// Queues again what is still wanted.
-    fn put_back(&mut self, key: K, bound: usize) {
-        let Some(entry) = self.entries.get_mut(&key) else { return };
-        entry.bound = bound;
-        match entry.tier {
-            Some(_) => self.queue_again(key),
-            None => drop(self.entries.remove(&key)),
+    /// Queues what is not in memory and still wanted, and forgets it where it is not.
+    fn put_back(&mut self, key: K) {
+        match self.entries.get(&key) {
+            Some(Entry { place: Place::Absent, tier: None, .. }) => drop(self.entries.remove(&key)),
+            Some(Entry { place: Place::Absent, .. }) => self.queue_again(key),
+            _ => {}
         }
     }
 
@@ -597,3 +629,6 @@ fn bytes_of(entry: &Entry) -> usize {
         Place::Resident { num_bytes, .. } => num_bytes,
     }
 }
+
+#[cfg(test)]
+mod tests;

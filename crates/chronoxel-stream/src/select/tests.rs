@@ -8,6 +8,7 @@ use chronoxel_core::{
 };
 
 use super::*;
+use crate::{CutLimits, NodeView};
 
 /// A grid, its tree, and an eye that sees all of it.
 struct Volume {
@@ -199,9 +200,12 @@ impl Script {
     }
 
     fn list(&mut self, volume: &Volume, step: u32, tolerances: Tolerances) -> Vec<DrawItem> {
+        self.list_on(&volume.selector(step, 0), tolerances)
+    }
+
+    fn list_on(&mut self, selector: &Selector<'_>, tolerances: Tolerances) -> Vec<DrawItem> {
         let statistics = self.statistics.clone();
         let coherence = Coherence { tolerances, statistics: &statistics, errors: self };
-        let selector = volume.selector(step, 0);
         let mut record = |_, step| Ok::<_, ()>(coded(step));
         selector.draw_list(Some(coherence), &mut record, &|_| Appearance::Varied).unwrap()
     }
@@ -289,4 +293,56 @@ fn nodes_alike_in_space_and_time_are_drawn_in_their_mean_colour() {
     // A mean colour that cannot be seen is not drawn.
     script.set(root, 1, [0.0, 0.0]);
     assert_eq!(script.list(&volume, 3, slight)[0].how, How::Skip);
+}
+
+/// A view in which some nodes are too coarse.
+struct TooCoarse(Vec<NodeId>);
+
+impl NodeView for TooCoarse {
+    fn error(&mut self, node: NodeId) -> f64 {
+        f64::from(u8::from(self.0.contains(&node)))
+    }
+
+    fn cost(&mut self, _: NodeId) -> f64 {
+        1.0
+    }
+
+    fn num_bytes(&mut self, _: NodeId) -> usize {
+        1
+    }
+
+    fn is_resident(&mut self, _: NodeId) -> bool {
+        true
+    }
+}
+
+#[test]
+fn the_walk_stops_at_the_cut() {
+    let scene = Volume::new([64, 32, 64], [100.0; 3]);
+    let mut cut = ActiveCut::new(&scene.tree, &scene.grid, &scene.layout);
+    let fine = [NodeId::new(3, [0; 3]), NodeId::new(2, [1, 0, 0]), NodeId::new(1, [2, 0, 1])];
+    cut.adapt(&scene.tree, &CutLimits::default(), &mut TooCoarse(fine.to_vec()));
+    let list = |level, tolerances, script: &mut Script| {
+        script.list_on(&Selector { cut: Some(&cut), ..scene.selector(3, level) }, tolerances)
+    };
+    let mut script = Script::new(&scene);
+    let exact = Tolerances::default();
+    let items = list(0, exact, &mut script);
+    let drawn: Vec<NodeId> = items.iter().map(|i| i.node).collect();
+    assert!(drawn.iter().all(|node| cut.contains(*node)) && drawn.len() == cut.nodes().count());
+    assert_eq!((drawn.len(), volume(&items)), (3 + 7 + 8, 64.0 * 32.0 * 64.0));
+    // Never finer than the level asked for.
+    let items = list(1, exact, &mut script);
+    assert_eq!((items.len(), volume(&items)), (3 + 8, 64.0 * 32.0 * 64.0));
+    // What is accepted above the cut or on it is drawn in its mean colour.
+    let slight = Tolerances { spatial: 0.1, temporal: 0.1 };
+    for node in [fine[2], NodeId::new(2, [0, 0, 1])] {
+        script.set(node, 2, [0.1, 0.1]);
+    }
+    let items = list(0, slight, &mut script);
+    let plain: Vec<_> =
+        items.iter().filter(|i| i.how != How::Payload).map(|i| (i.node.level, &i.how)).collect();
+    let color = How::ConstantColor([0.25, 0.5, 0.75, 0.1]);
+    assert_eq!(items.len(), 3 + 8);
+    assert!(plain.contains(&(1, &color)) && plain.contains(&(2, &color)) && plain.len() == 2, "{plain:?}");
 }
