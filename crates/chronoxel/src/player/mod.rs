@@ -9,7 +9,7 @@ mod nodes;
 mod path;
 
 use std::{
-    collections::{HashMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -440,9 +440,9 @@ impl Player {
     }
 
     /// What must be in memory to draw a list.
-    fn needed(&mut self, items: &[DrawItem]) -> HashMap<HeldKey, SpanRecord> {
+    fn needed(&mut self, items: &[DrawItem]) -> BTreeMap<HeldKey, SpanRecord> {
         let tree = Arc::clone(self.session.tree());
-        let mut needed = HashMap::new();
+        let mut needed = BTreeMap::new();
         for item in items.iter().filter(|item| item.how == How::Payload) {
             // Records that cannot be read are dealt with in drawing.
             let Ok(record) = self.session.record(&tree, item.node, item.steps.start) else { continue };
@@ -453,7 +453,7 @@ impl Player {
         needed
     }
 
-    fn count(&self, needed: &HashMap<HeldKey, SpanRecord>) -> [u64; 2] {
+    fn count(&self, needed: &BTreeMap<HeldKey, SpanRecord>) -> [u64; 2] {
         let hits = needed.keys().filter(|key| self.residency.state(key) == State::Resident).count() as u64;
         [hits, needed.len() as u64 - hits]
     }
@@ -466,7 +466,7 @@ impl Player {
         view: &View,
         place: usize,
         spans: &StepSpans,
-        needed: &HashMap<HeldKey, SpanRecord>,
+        needed: &BTreeMap<HeldKey, SpanRecord>,
         of_splits: &[NodeId],
     ) {
         let mut wants =
@@ -579,13 +579,13 @@ impl Player {
         for key in self.residency.take_evicted() {
             self.session.take_back(&key);
         }
-        // In the order in which they lie in the store.
-        requests.sort_unstable();
-        for same in requests.chunk_by(|a, b| a.level() == b.level()) {
-            for batch in same.chunks(BATCH) {
+        // Urgent ones first; those of a batch in the order in which they lie in the store.
+        for batch in requests.chunks_mut(BATCH) {
+            batch.sort_unstable();
+            for same in batch.chunk_by(|a, b| a.level() == b.level()) {
                 let wanted: Vec<_> =
-                    batch.iter().filter_map(|key| Some((*key, *self.wanted.get(key)?))).collect();
-                self.loader.begin(Job::Held { level: batch[0].level(), wanted }, false);
+                    same.iter().filter_map(|key| Some((*key, *self.wanted.get(key)?))).collect();
+                self.loader.begin(Job::Held { level: same[0].level(), wanted }, false);
             }
         }
     }
@@ -633,7 +633,7 @@ impl Player {
     /// Waits until a frame can be drawn as it should be, or as it may be.
     fn wait_for(
         &mut self,
-        needed: &HashMap<HeldKey, SpanRecord>,
+        needed: &BTreeMap<HeldKey, SpanRecord>,
         place: usize,
         waited: &mut Waited,
     ) -> anyhow::Result<()> {

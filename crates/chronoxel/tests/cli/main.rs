@@ -15,4 +15,5 @@ mod long_series;
 mod memory;
 mod movies;
 mod pictures;
+mod playing;
 mod usage;
