@@ -95,4 +95,38 @@ mod tests {
             }
         }
     }
+
+    /// Against where the two ends of a voxel, put across the line of sight, come to lie in the picture.
+    #[test]
+    fn pixels_per_voxel_are_those_of_the_projection() {
+        let grid = UniformGrid::new([65, 65, 65], [-4.0, 2.0, 0.0], [1.0, 0.5, 0.5]).unwrap();
+        for (fov, distance) in [(Some(30.0), 1.0), (Some(70.0), 1.0), (None, 1.0)] {
+            let camera = Camera::orbit(grid.bounds(), 40.0, 25.0, distance, fov, 1.5).unwrap();
+            let view = ViewVolume::of_camera(&camera, 1.5, &grid);
+            let region = [[8.0, 16.0, 8.0], [24.0, 32.0, 24.0]];
+            let corners = (0..8).map(|i| std::array::from_fn(|a| region[i >> a & 1][a]));
+            let worlds: Vec<[f64; 3]> = corners.map(|c| grid.world_from_voxel(c)).collect();
+            let nearest =
+                worlds.iter().map(|w| camera.project(*w, [300, 200]).unwrap()[2]).fold(f64::MAX, f64::min);
+            assert!((view.nearest_depth(region, &grid) - nearest).abs() < 1e-9);
+            let at = |offset: f64| {
+                let [right, _, forward] = camera.axes();
+                let p = camera.position();
+                let world = std::array::from_fn(|a| p[a] + nearest * forward[a] + offset * right[a]);
+                camera.project(world, [300, 200]).unwrap()[0]
+            };
+            // A voxel of level 2 is four times the longest edge of one of the grid.
+            let found = view.pixels_per_voxel(region, 2, &grid, 200);
+            assert!((found - (at(4.0) - at(0.0))).abs() < 1e-9, "{found}");
+        }
+    }
+
+    #[test]
+    fn pixels_per_voxel_stay_finite_around_the_eye() {
+        let grid = UniformGrid::new([9; 3], [0.0; 3], [1.0; 3]).unwrap();
+        let projection = Projection::Perspective { fov_y_deg: 90.0 };
+        let camera = Camera::new([4.0; 3], [9.0, 4.0, 4.0], [0.0, 1.0, 0.0], projection).unwrap();
+        let view = ViewVolume::of_camera(&camera, 1.0, &grid);
+        assert!((view.pixels_per_voxel([[0.0; 3], [8.0; 3]], 0, &grid, 100) - 50.0).abs() < 1e-9);
+    }
 }
