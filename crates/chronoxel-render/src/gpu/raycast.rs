@@ -11,6 +11,7 @@ use super::host::{BrickData, ConstantData, LightingData, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::{CellBox, Entry, PageTable};
 use super::pool::Pool;
+use super::read_back::{Drawn, GpuPicture, Packer, ReadBack};
 use super::timing::{Span, Timer};
 use super::{GpuError, Interpolation, Scene, Way, import};
 use crate::cpu::{LEAST_TRANSMITTANCE, table::NUM_ENTRIES};
@@ -32,7 +33,26 @@ struct Picture {
     width: u32,
     rows: u32,
     gathered: Buffer,
-    read: Buffer,
+    back: Back,
+}
+
+/// What a picture is read back by.
+#[derive(Debug)]
+enum Back {
+    Floats(Buffer),
+    Bytes(Packer),
+    Nothing,
+}
+
+impl Back {
+    fn is(&self, read_back: ReadBack) -> bool {
+        let own = match self {
+            Self::Floats(_) => ReadBack::Floats,
+            Self::Bytes(_) => ReadBack::Bytes,
+            Self::Nothing => ReadBack::Nothing,
+        };
+        own == read_back
+    }
 }
 
 /// What the ray caster holds.
@@ -113,6 +133,7 @@ impl Caster {
         device: &Device,
         [width, height]: [usize; 2],
         most_bytes: u64,
+        read_back: ReadBack,
     ) -> Result<usize, GpuError> {
         let row_bytes = 16 * width as u64;
         let limits = &device.limits;
@@ -125,15 +146,23 @@ impl Caster {
             return Err(GpuError::MemoryTooSmall { given, what, needed, least });
         }
         let (width, rows) = (width as u32, most_rows as u32);
-        if self.picture.as_ref().is_none_or(|p| [p.width, p.rows] != [width, rows]) {
+        let is_held = |p: &Picture| [p.width, p.rows] == [width, rows] && p.back.is(read_back);
+        if !self.picture.as_ref().is_some_and(is_held) {
             if self.picture.take().is_some() {
                 device.settle();
             }
             use wgpu::BufferUsages as Usage;
             let bytes = row_bytes * most_rows;
             let gathered = device.buffer("the picture", bytes, Usage::STORAGE | Usage::COPY_SRC)?;
-            let read = device.buffer("the picture to read", bytes, Usage::COPY_DST | Usage::MAP_READ)?;
-            self.picture = Some(Picture { width, rows, gathered, read });
+            let back = match read_back {
+                ReadBack::Floats => {
+                    let usage = Usage::COPY_DST | Usage::MAP_READ;
+                    Back::Floats(device.buffer("the picture to read", bytes, usage)?)
+                }
+                ReadBack::Bytes => Back::Bytes(Packer::new(device, Drawn::Rays(&gathered.raw), bytes / 16)?),
+                ReadBack::Nothing => Back::Nothing,
+            };
+            self.picture = Some(Picture { width, rows, gathered, back });
         }
         Ok(most_rows as usize)
     }
@@ -236,22 +265,25 @@ impl Caster {
     }
 
     /// Appends rows that were drawn to a picture, alpha in place of transmittance.
-    pub fn read_rows(
-        &self,
-        device: &Device,
-        num_rows: usize,
-        pixels: &mut Vec<[f32; 4]>,
-    ) -> Result<(), GpuError> {
+    pub fn read_rows(&self, device: &Device, num_rows: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         let picture = self.picture.as_ref().expect("room for a picture is made before it is drawn");
-        let bytes = 16 * u64::from(picture.width) * num_rows as u64;
-        let mut encoder = device.raw.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &picture.read.raw, 0, bytes);
-        device.queue.submit([encoder.finish()]);
-        device.read(&picture.read.raw, bytes, |bytes| {
-            let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
-            let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
-            pixels.par_extend(gathered.with_min_len(4096).map(pixel));
-        })
+        let num_pixels = u64::from(picture.width) * num_rows as u64;
+        match (&picture.back, into) {
+            (Back::Floats(read), GpuPicture::Floats(image)) => {
+                let mut encoder = device.raw.create_command_encoder(&Default::default());
+                encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &read.raw, 0, 16 * num_pixels);
+                device.queue.submit([encoder.finish()]);
+                device.read(&read.raw, 16 * num_pixels, |bytes| {
+                    let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
+                    let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
+                    image.pixels.par_extend(gathered.with_min_len(4096).map(pixel));
+                })
+            }
+            (Back::Bytes(packer), GpuPicture::Bytes(image)) => {
+                packer.read(device, Drawn::Rays(&picture.gathered.raw), num_pixels, &mut image.pixels)
+            }
+            _ => Ok(()),
+        }
     }
 }
 

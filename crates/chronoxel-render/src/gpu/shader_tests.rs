@@ -6,7 +6,7 @@ use naga::{Module, TypeInner};
 use super::host::{
     BatchData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
 };
-use super::import::{DECODE, RAYCAST, SHARED, SLICES, with_imports};
+use super::import::{BYTES, DECODE, RAYCAST, SHARED, SLICES, with_imports};
 
 #[track_caller]
 fn parsed(name: &str, text: &str) -> Module {
@@ -47,6 +47,7 @@ macro_rules! layout_of {
 
 #[test]
 fn every_shader_is_valid() {
+    parsed("bytes.wgsl", BYTES);
     parsed("decode.wgsl", &with_imports(DECODE));
     parsed("raycast.wgsl", &with_imports(RAYCAST));
     parsed("slices.wgsl", &with_imports(SLICES));

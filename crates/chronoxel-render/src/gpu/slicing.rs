@@ -11,6 +11,7 @@ use super::host::{CONSTANT, PlanesData, VertexData, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::CellBox;
 use super::raycast::{Content, Portion, Shot, Sources, start_depth, view_of};
+use super::read_back::{GpuPicture, ReadBack};
 use super::target::{Target, format_of};
 use super::timing::{Span, Timer};
 use super::{GpuError, Interpolation, Scene, Way, import};
@@ -130,13 +131,14 @@ impl Slicing {
         device: &Device,
         size: [usize; 2],
         most_bytes: u64,
+        read_back: ReadBack,
     ) -> Result<usize, GpuError> {
         let (width, rows) = (size[0] as u32, Target::rows_within(device, size, most_bytes)?);
-        if self.target.as_ref().is_none_or(|t| [t.width, t.rows] != [width, rows]) {
+        if !self.target.as_ref().is_some_and(|t| t.is([width, rows], read_back)) {
             if self.target.take().is_some() {
                 device.settle();
             }
-            self.target = Some(Target::new(device, width, rows)?);
+            self.target = Some(Target::new(device, [width, rows], read_back)?);
         }
         Ok(rows as usize)
     }
@@ -285,14 +287,9 @@ impl Slicing {
     }
 
     /// Appends rows that were drawn to a picture.
-    pub fn read_rows(
-        &self,
-        device: &Device,
-        num_rows: usize,
-        pixels: &mut Vec<[f32; 4]>,
-    ) -> Result<(), GpuError> {
+    pub fn read_rows(&self, device: &Device, num_rows: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         let target = self.target.as_ref().expect("room for a picture is made before it is drawn");
-        target.read_rows(device, num_rows as u32, pixels)
+        target.read_rows(device, num_rows as u32, into)
     }
 }
 
