@@ -17,7 +17,7 @@ pub use error::RenderError;
 #[cfg(feature = "gpu")]
 pub use gpu::{
     CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats,
-    Interpolation, Method, ReadBack, Way,
+    Interpolation, LaterStep, Method, ReadBack, Way,
 };
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};

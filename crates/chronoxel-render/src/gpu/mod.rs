@@ -142,6 +142,21 @@ pub struct CodedBrick {
     pub step_in_span: u32,
     /// Masked samples, over core and apron.
     pub mask: Option<Arc<BitMask>>,
+    /// Between two steps, the later one.
+    pub later: Option<LaterStep>,
+}
+
+/// The later of two steps between which a brick is drawn: its samples are interpolated in time.
+#[derive(Debug, Clone)]
+pub struct LaterStep {
+    /// The caller's: as that of a [`CodedBrick`] of this payload without a mask.
+    pub key: u64,
+    /// Indices and tables: the same payload, or that of the next window.
+    pub payload: Arc<Payload>,
+    /// The step, counted from the first of the payload's span.
+    pub step_in_span: u32,
+    /// Its weight, from 0 to 1.
+    pub weight: f64,
 }
 
 /// What it took to make a picture.

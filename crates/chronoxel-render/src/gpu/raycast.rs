@@ -7,7 +7,7 @@ use chronoxel_core::{PictureRays, Projection, UniformGrid};
 use rayon::prelude::*;
 
 use super::device::{Device, storage, uniform};
-use super::host::{BrickData, ConstantData, LightingData, ViewData};
+use super::host::{BrickData, ConstantData, LightingData, NO_LATER, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::{CellBox, Entry, PageTable};
 use super::pool::Pool;
@@ -59,7 +59,7 @@ impl Back {
 #[derive(Debug)]
 pub(super) struct Caster {
     layout: wgpu::BindGroupLayout,
-    pipelines: HashMap<[bool; 3], wgpu::ComputePipeline>,
+    pipelines: HashMap<Key, wgpu::ComputePipeline>,
     sampler: wgpu::Sampler,
     view: Buffer,
     nodes: Mirror,
@@ -80,6 +80,17 @@ pub(super) struct Shot<'a> {
     pub rows: [usize; 2],
     /// Whether nothing was drawn of those rows before.
     pub is_first: bool,
+}
+
+/// What sets pipelines apart: lit, decoded at each fetch, of which some between two steps, and colours interpolated.
+pub(super) type Key = [bool; 4];
+
+/// The pipeline that a portion is drawn with.
+pub(super) fn key_of(shot: &Shot, portion: &Portion) -> Key {
+    let fetches = shot.way == Way::Fetch;
+    let is_between = |content: &Content| matches!(content, Content::Brick(brick) if brick.later != NO_LATER);
+    let blends = fetches && portion.iter().any(|(_, content)| is_between(content));
+    [shot.scene.lighting.is_some(), fetches, blends, shot.interpolation == Interpolation::Color]
 }
 
 /// Where samples are found.
@@ -181,14 +192,14 @@ impl Caster {
         sources: Sources,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        let Shot { scene, way, interpolation, rows, is_first } = shot;
+        let Shot { scene, rows, is_first, .. } = shot;
         let root_level = self.set_lists(device, scene, portion)?;
         let mut view = view_of(scene, rows);
         view.root_level = root_level;
         view.is_first = u32::from(is_first);
         view.per_texel = sources.pool.shape.texels().map(|n| 1.0 / n as f32);
         device.upload(&self.view.raw, 0, bytes_of(&view));
-        let key = [scene.lighting.is_some(), way == Way::Fetch, interpolation == Interpolation::Color];
+        let key = key_of(&shot, portion);
         self.hold_pipeline(device, key)?;
         let group = self.bind(device, sources);
         let mut encoder = device.raw.create_command_encoder(&Default::default());
@@ -230,12 +241,13 @@ impl Caster {
         Ok(table.root_level)
     }
 
-    fn hold_pipeline(&mut self, device: &Device, key: [bool; 3]) -> Result<(), GpuError> {
+    fn hold_pipeline(&mut self, device: &Device, key: Key) -> Result<(), GpuError> {
         if !self.pipelines.contains_key(&key) {
-            let [lit, fetch, color] = key.map(|flag| f64::from(u8::from(flag)));
+            let [lit, fetch, blend, color] = key.map(|flag| f64::from(u8::from(flag)));
             let constants = [
                 ("LIT", lit),
                 ("FETCH", fetch),
+                ("BLEND", blend),
                 ("INTERPOLATE_COLOR", color),
                 ("LEAST_TRANSMITTANCE", LEAST_TRANSMITTANCE.into()),
                 ("NUM_COLORS", NUM_ENTRIES as f64),

@@ -113,7 +113,19 @@ fn structs_are_laid_out_alike() {
     );
     assert_eq!(
         layout_in(&raycast, "Brick"),
-        layout_of!(BrickData { origin, scale, texel, colors, index_from_texel, mask, payload, step })
+        layout_of!(BrickData {
+            origin,
+            scale,
+            texel,
+            colors,
+            index_from_texel,
+            mask,
+            payload,
+            step,
+            later,
+            later_step,
+            later_weight,
+        })
     );
     assert_eq!(layout_in(&raycast, "Constant"), layout_of!(ConstantData { color, log_transmittance, scale }));
     assert_eq!(

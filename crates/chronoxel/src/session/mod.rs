@@ -15,15 +15,17 @@ use std::{path::Path, sync::Arc, time::Instant};
 use anyhow::{Context, bail};
 use chronoxel_codec::Payload;
 use chronoxel_core::{
-    ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord,
-    TimeNode, TransferFunction, UniformGrid,
+    ByteImage, ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer,
+    SpanRecord, TimeNode, TransferFunction, UniformGrid,
 };
-use chronoxel_render::{CpuOptions, Frame, GpuStats, PreparedBrick, RenderStats, Scene};
+use chronoxel_render::{
+    CpuOptions, Frame, GpuPicture, GpuStats, PreparedBrick, ReadBack, RenderStats, Scene,
+};
 use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::{BrickKey, PayloadKey};
-use gpu::OnGpu;
+use gpu::{GpuShot, OnGpu};
 use images::Images;
 use select::Colors;
 pub use select::{CoherenceView, Metric};
@@ -99,6 +101,14 @@ pub struct BrickCounts {
 }
 
 impl BrickCounts {
+    fn add(&mut self, other: &Self) {
+        self.skipped += other.skipped;
+        self.constant += other.constant;
+        self.composited += other.composited;
+        self.reused += other.reused;
+        self.new += other.new;
+    }
+
     /// Bricks that were drawn.
     pub fn drawn(&self) -> usize {
         self.constant + self.composited + self.reused + self.new
@@ -107,9 +117,9 @@ impl BrickCounts {
 
 /// A picture, and what it took.
 #[derive(Debug, Clone)]
-pub struct Picture {
+pub struct Picture<I = Image> {
     /// The volume over nothing.
-    pub image: Image,
+    pub image: I,
     /// Samples taken, transparent space left out.
     pub samples: u64,
     /// Bricks by what became of them.
@@ -261,11 +271,45 @@ impl Session {
         self.draw_moment(view, Moment::at(step))
     }
 
-    /// Draws a moment at a step or between two. Between steps nothing is kept in memory, and a damaged brick is an error.
+    /// Draws a moment at a step or between two. Between steps the CPU keeps nothing in memory, and a damaged brick is an
+    /// error.
     ///
     /// # Errors
     /// As [`Self::draw`].
     pub fn draw_moment(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture> {
+        let picture = self.draw_as(view, moment, ReadBack::Floats)?;
+        Ok(picture.map(|image| match image {
+            GpuPicture::Floats(image) => image,
+            _ => unreachable!("floats were asked for"),
+        }))
+    }
+
+    /// Draws a moment for a screen, in 8 bits: from a GPU, a quarter of the bytes come back.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_bytes(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture<ByteImage>> {
+        let picture = self.draw_as(view, moment, ReadBack::Bytes)?;
+        Ok(picture.map(|image| match image {
+            GpuPicture::Bytes(image) => image,
+            _ => unreachable!("bytes were asked for"),
+        }))
+    }
+
+    /// Draws a moment that nobody looks at: on a GPU the picture stays there.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_unseen(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture<()>> {
+        Ok(self.draw_as(view, moment, ReadBack::Nothing)?.map(|_| ()))
+    }
+
+    fn draw_as(
+        &mut self,
+        view: &View,
+        moment: Moment,
+        read_back: ReadBack,
+    ) -> anyhow::Result<Picture<GpuPicture>> {
         let num_steps = self.store.header().num_steps_finished as usize;
         let Moment { step, weight } = moment;
         let last = step + usize::from(weight > 0.0);
@@ -287,9 +331,15 @@ impl Session {
         let shares = Shares::of(&items, step, &self.store.header().grid);
         let select_ms = start.elapsed().as_secs_f64() * 1e3;
         let drawn = match self.on_gpu {
-            Some(_) if weight > 0.0 => bail!("--blend-steps is drawn by the CPU: use --backend cpu"),
-            Some(_) => self.draw_on_gpu(view, &items, faults)?,
-            None => self.draw_on_cpu(view, step, weight, &items, faults)?,
+            Some(_) => self.draw_on_gpu(GpuShot { view, items: &items, step, weight, read_back }, faults)?,
+            None => {
+                let drawn = self.draw_on_cpu(view, step, weight, &items, faults)?;
+                drawn.map(|image| match read_back {
+                    ReadBack::Floats => GpuPicture::Floats(image),
+                    ReadBack::Bytes => GpuPicture::Bytes(image.to_bytes()),
+                    ReadBack::Nothing => GpuPicture::Nothing,
+                })
+            }
         };
         let Drawn { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = drawn;
         Ok(Picture {
@@ -305,15 +355,29 @@ impl Session {
     }
 }
 
+impl<I> Picture<I> {
+    fn map<J>(self, change: impl FnOnce(I) -> J) -> Picture<J> {
+        let Self { image, samples, bricks, shares, fetch_ms, render_ms, on_gpu, warnings } = self;
+        Picture { image: change(image), samples, bricks, shares, fetch_ms, render_ms, on_gpu, warnings }
+    }
+}
+
 /// A picture that was drawn, and what it took.
-struct Drawn {
-    image: Image,
+struct Drawn<I> {
+    image: I,
     bricks: BrickCounts,
     faults: Faults,
     samples: u64,
     fetch_ms: f64,
     render_ms: f64,
     on_gpu: Option<GpuStats>,
+}
+
+impl<I> Drawn<I> {
+    fn map<J>(self, change: impl FnOnce(I) -> J) -> Drawn<J> {
+        let Self { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = self;
+        Drawn { image: change(image), bricks, faults, samples, fetch_ms, render_ms, on_gpu }
+    }
 }
 
 /// A picture being drawn.
@@ -332,7 +396,7 @@ impl Session {
         weight: f64,
         items: &[DrawItem],
         faults: Faults,
-    ) -> anyhow::Result<Drawn> {
+    ) -> anyhow::Result<Drawn<Image>> {
         let scene = self.scene(view);
         let mut drawing = Drawing {
             frame: Frame::new(&scene, CpuOptions::default())?,
