@@ -98,6 +98,11 @@ impl<K: Copy + Eq + Hash, V: Clone> ByteLru<K, V> {
         }
     }
 
+    /// Bytes that may be held.
+    pub fn budget_bytes(&self) -> usize {
+        self.budget_bytes
+    }
+
     /// Bytes held now.
     pub fn held_bytes(&self) -> usize {
         self.held_bytes

@@ -28,6 +28,17 @@ pub struct Image {
     pub pixels: Vec<[f32; 4]>,
 }
 
+/// A picture as [`Image`], in 8 bits: what a screen shows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ByteImage {
+    /// Pixels along a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[row, column]`: red, green, blue (each already multiplied by alpha) and alpha.
+    pub pixels: Vec<[u8; 4]>,
+}
+
 /// Most pixels along one side of a picture.
 pub const MAX_IMAGE_EDGE: usize = 32_768;
 
@@ -39,6 +50,13 @@ impl Image {
     pub fn new(width: usize, height: usize) -> Result<Self, CoreError> {
         check_size([width, height])?;
         Ok(Self { width, height, pixels: vec![[0.0; 4]; width * height] })
+    }
+
+    /// The picture in 8 bits, premultiplied as it is.
+    pub fn to_bytes(&self) -> ByteImage {
+        let byte = |c: f32| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        let pixels = self.pixels.iter().map(|pixel| pixel.map(byte)).collect();
+        ByteImage { width: self.width, height: self.height, pixels }
     }
 
     /// The picture before a background, one `[r, g, b, a]` byte quadruple per pixel.
@@ -106,6 +124,13 @@ mod tests {
         let mut image = Image::new(3, 1).unwrap();
         image.pixels = vec![[0.0; 4], [0.25, 0.0, 0.5, 0.5], [1.0, 0.2, 0.0, 1.0]];
         image
+    }
+
+    #[test]
+    fn bytes_stay_premultiplied() {
+        let bytes = image().to_bytes();
+        assert_eq!(bytes.pixels, [[0; 4], [64, 0, 128, 128], [255, 51, 0, 255]]);
+        assert_eq!([bytes.width, bytes.height], [3, 1]);
     }
 
     #[test]

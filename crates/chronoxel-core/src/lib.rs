@@ -32,7 +32,7 @@ pub use compare::{ImageDifference, compare, difference_picture};
 pub use dtype::SampleType;
 pub use error::CoreError;
 pub use grid::UniformGrid;
-pub use image::{Background, Image};
+pub use image::{Background, ByteImage, Image};
 pub use image8::Image8;
 pub use lighting::Lighting;
 pub use metrics::{

@@ -16,8 +16,8 @@ pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with}
 pub use error::RenderError;
 #[cfg(feature = "gpu")]
 pub use gpu::{
-    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuRenderer, GpuStats, Interpolation,
-    Method, Way,
+    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats,
+    Interpolation, LaterStep, Method, ReadBack, Way,
 };
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use chronoxel_codec::Payload;
 use chronoxel_core::{BitMask, Image, NodeId, UniformGrid};
 use chronoxel_render::{
-    GpuBrick, GpuError, GpuHow, GpuOptions, GpuRenderer, GpuStats, Interpolation, Scene, Way,
+    GpuBrick, GpuError, GpuHow, GpuOptions, GpuRenderer, GpuStats, Interpolation, LaterStep, Scene, Way,
 };
 use pictures::cases::{Case, Coding, NUM_STEPS, assert_all_drawn, cpu_picture};
 use pictures::{Field, assert_identical, assert_similar, difference, region_of, scene_of, waves};
@@ -132,6 +132,72 @@ fn payloads_at_different_steps_in_one_picture() {
     let drawn = gpu.draw(&case.scene, &case.bricks).unwrap();
     check(&case, &drawn);
     assert_eq!((drawn.1.payloads_uploaded, drawn.1.slots_decoded), (1, 2), "{:?}", drawn.1);
+}
+
+/// Bricks between two steps, every other one between two payloads, the last with a mask.
+fn between_steps(weight: f64) -> Case {
+    let mut case = case(&field(), 16, Coding::Listed);
+    let other = Field::new(field().grid, |[x, y, z]| (0.2 * x + 0.1 * y * z).sin().abs() * 90_000.0);
+    for (i, brick) in case.bricks.iter_mut().enumerate() {
+        let node = brick.node;
+        let GpuHow::Coded(coded) = &mut brick.how else { panic!("not coded") };
+        (coded.key, coded.step_in_span) = (coded.key | 1 << 50, 1);
+        let mut later =
+            LaterStep { key: coded.key, payload: Arc::clone(&coded.payload), step_in_span: 2, weight };
+        if i % 2 == 0 {
+            let next = other.coded(&case.scene, node, region_of(node, &case.scene.layout), Coding::TwoStages);
+            let GpuHow::Coded(next) = next.how else { panic!("not coded") };
+            later = LaterStep { key: next.key | 1 << 51, payload: next.payload, step_in_span: 0, weight };
+        }
+        if i % 3 == 0 {
+            let mut mask = BitMask { bytes: vec![0; (19usize * 19 * 19).div_ceil(8)] };
+            mask.bytes[100..300].fill(0x0f);
+            coded.mask = Some(Arc::new(mask));
+            coded.key |= 1 << 52;
+            // Without a mask, it is another.
+            later.key |= 1 << 53;
+        }
+        coded.later = Some(later);
+    }
+    Case { name: format!("between steps, {weight}"), ..case }
+}
+
+#[test]
+fn steps_are_blended() {
+    // Decoding twice at each fetch takes drivers in software seconds a picture.
+    let ways = [(Way::Pool, false, 64), (Way::Pool, true, 64), (Way::Pool, false, 3), (Way::Fetch, false, 3)];
+    for (way, guaranteed_only, mib) in ways {
+        let options = GpuOptions { way, guaranteed_only, ..with_memory(mib << 20) };
+        let Some(mut gpu) = renderer(&options) else { return };
+        for weight in if way == Way::Pool { &[0.25, 0.6, 0.6, 1.0][..] } else { &[0.6] } {
+            let case = between_steps(*weight);
+            let drawn = gpu.draw(&case.scene, &case.bricks).unwrap();
+            check(&case, &drawn);
+            assert!(drawn.1.gpu_bytes_peak <= options.memory_bytes);
+        }
+        // Nothing is left of it at the step.
+        let mut case = between_steps(0.5);
+        for brick in &mut case.bricks {
+            let GpuHow::Coded(coded) = &mut brick.how else { panic!("not coded") };
+            coded.later = None;
+        }
+        let drawn = gpu.draw(&case.scene, &case.bricks).unwrap();
+        check(&case, &drawn);
+    }
+}
+
+#[test]
+fn a_blend_uploads_rows_and_weights() {
+    let Some(mut gpu) = renderer(&with_memory(64 << 20)) else { return };
+    let first = between_steps(0.25);
+    gpu.draw(&first.scene, &first.bricks).unwrap();
+    let again = gpu.draw(&first.scene, &first.bricks).unwrap().1;
+    assert_eq!((again.slots_decoded, again.payloads_uploaded), (0, 0));
+    let second = between_steps(0.75);
+    let stats = gpu.draw(&second.scene, &second.bricks).unwrap().1;
+    assert_eq!((stats.slots_decoded, stats.payloads_uploaded), (stats.bricks_drawn, 0));
+    // Both jobs of a slot, its later payload and weight; the view; a batch.
+    assert!(stats.bytes_uploaded <= 32 * stats.bricks_drawn as u64 + 2048, "{stats:?}");
 }
 
 #[test]

@@ -52,6 +52,16 @@ pub(super) struct ValueRange {
     pub width: f64,
 }
 
+impl ValueRange {
+    /// The range between two steps, and the weight of what the later one decodes to within its own.
+    pub fn between(self, later: Self, weight: f64) -> (Self, f32) {
+        let mix = |a: f64, b: f64| a * (1.0 - weight) + b * weight;
+        let range = Self { low: mix(self.low, later.low), width: mix(self.width, later.width) };
+        let share = if range.width > 0.0 { weight * later.width / range.width } else { 0.0 };
+        (range, share as f32)
+    }
+}
+
 /// Packs a payload, of which each step decodes to numbers from 0 to 1 within its range.
 ///
 /// # Errors
@@ -175,6 +185,11 @@ impl Banks {
 
     pub fn is_empty(&self) -> bool {
         self.held.is_empty()
+    }
+
+    /// Whether a payload is here; that is not a use of it.
+    pub fn holds(&self, key: u64) -> bool {
+        self.held.contains_key(&key)
     }
 
     /// Where a payload lies, if it is here.

@@ -130,6 +130,18 @@ impl Device {
         layout: &wgpu::BindGroupLayout,
         constants: &[(&str, f64)],
     ) -> Result<wgpu::ComputePipeline, GpuError> {
+        self.pipeline_of(label, "main", source, layout, constants)
+    }
+
+    /// A compute pipeline of one of a shader's entry points.
+    pub fn pipeline_of(
+        &self,
+        label: &'static str,
+        entry: &str,
+        source: &str,
+        layout: &wgpu::BindGroupLayout,
+        constants: &[(&str, f64)],
+    ) -> Result<wgpu::ComputePipeline, GpuError> {
         let text = import::with_imports(source);
         self.attempt(&format!("the shader {label}"), || {
             let module = self.raw.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -145,7 +157,7 @@ impl Device {
                 label: Some(label),
                 layout: Some(&layout),
                 module: &module,
-                entry_point: Some("main"),
+                entry_point: Some(entry),
                 compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
                 cache: None,
             })

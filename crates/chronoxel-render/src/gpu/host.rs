@@ -53,8 +53,13 @@ pub(super) struct BrickData {
     pub mask: u32,
     pub payload: u32,
     pub step: u32,
-    pub padding: [u32; 3],
+    pub later: u32,
+    pub later_step: u32,
+    pub later_weight: f32,
 }
+
+/// `NO_LATER` of `shared/sampling.wgsl`.
+pub(super) const NO_LATER: u32 = u32::MAX;
 
 /// `NO_MASK` of `shared/sampling.wgsl`.
 pub(super) const NO_MASK: u32 = u32::MAX;

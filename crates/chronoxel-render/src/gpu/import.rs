@@ -13,6 +13,8 @@ pub(super) const SHARED: &[(&str, &str)] = &[
     ("shared/sampling.wgsl", include_str!("shaders/shared/sampling.wgsl")),
 ];
 
+/// Packs pictures into 8 bits.
+pub(super) const BYTES: &str = include_str!("shaders/bytes.wgsl");
 /// Decodes slots.
 pub(super) const DECODE: &str = include_str!("shaders/decode.wgsl");
 /// Casts rays.

@@ -7,6 +7,7 @@
 //!
 //! What WebGPU guarantees suffices; 16-bit fractions, larger buffers and timestamps are used where they are offered.
 
+mod ahead;
 mod bank;
 mod decode;
 mod device;
@@ -19,6 +20,7 @@ mod page_table;
 mod pool;
 mod portion;
 mod raycast;
+mod read_back;
 #[cfg(test)]
 mod shader_tests;
 mod slicing;
@@ -27,6 +29,7 @@ mod timing;
 #[cfg(test)]
 mod twins;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -39,6 +42,7 @@ pub use device::GpuInfo;
 pub use error::GpuError;
 use portion::{Colors, Making, Residency};
 use raycast::{Caster, Shot};
+pub use read_back::{GpuPicture, ReadBack};
 use slicing::Slicing;
 use timing::Timer;
 
@@ -139,6 +143,21 @@ pub struct CodedBrick {
     pub step_in_span: u32,
     /// Masked samples, over core and apron.
     pub mask: Option<Arc<BitMask>>,
+    /// Between two steps, the later one.
+    pub later: Option<LaterStep>,
+}
+
+/// The later of two steps between which a brick is drawn: its samples are interpolated in time.
+#[derive(Debug, Clone)]
+pub struct LaterStep {
+    /// The caller's: as that of a [`CodedBrick`] of this payload without a mask.
+    pub key: u64,
+    /// Indices and tables: the same payload, or that of the next window.
+    pub payload: Arc<Payload>,
+    /// The step, counted from the first of the payload's span.
+    pub step_in_span: u32,
+    /// Its weight, from 0 to 1.
+    pub weight: f64,
 }
 
 /// What it took to make a picture.
@@ -200,17 +219,18 @@ impl Drawing {
         device: &Device,
         size: [usize; 2],
         most_bytes: u64,
+        read_back: ReadBack,
     ) -> Result<usize, GpuError> {
         match self {
-            Self::Raycast(caster) => caster.hold_picture(device, size, most_bytes),
-            Self::Slices(slicing) => slicing.hold_picture(device, size, most_bytes),
+            Self::Raycast(caster) => caster.hold_picture(device, size, most_bytes, read_back),
+            Self::Slices(slicing) => slicing.hold_picture(device, size, most_bytes, read_back),
         }
     }
 
-    fn read_rows(&self, device: &Device, num: usize, pixels: &mut Vec<[f32; 4]>) -> Result<(), GpuError> {
+    fn read_rows(&self, device: &Device, num: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         match self {
-            Self::Raycast(caster) => caster.read_rows(device, num, pixels),
-            Self::Slices(slicing) => slicing.read_rows(device, num, pixels),
+            Self::Raycast(caster) => caster.read_rows(device, num, into),
+            Self::Slices(slicing) => slicing.read_rows(device, num, into),
         }
     }
 }
@@ -260,55 +280,107 @@ impl GpuRenderer {
     /// [`GpuError`] if the scene or a brick cannot be drawn, the memory is too small, or the device is lost: then
     /// make another renderer.
     pub fn draw(&mut self, scene: &Scene, bricks: &[GpuBrick]) -> Result<(Image, GpuStats), GpuError> {
-        let drawn = self.try_draw(scene, bricks);
+        match self.draw_as(scene, bricks, ReadBack::Floats)? {
+            (GpuPicture::Floats(image), stats) => Ok((image, stats)),
+            _ => unreachable!("floats were asked for"),
+        }
+    }
+
+    /// Draws a scene from its bricks, and reads it back as it is asked for.
+    ///
+    /// * `bricks`: boxes that do not overlap, front to back
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_as(
+        &mut self,
+        scene: &Scene,
+        bricks: &[GpuBrick],
+        read_back: ReadBack,
+    ) -> Result<(GpuPicture, GpuStats), GpuError> {
+        self.draw_in_parts(scene, read_back, 1, &mut |_| Ok(Cow::Borrowed(bricks)))
+    }
+
+    /// Draws a scene from a list that comes in parts, of which no more than one is kept: for lists whose payloads do
+    /// not fit the caller's memory at once.
+    ///
+    /// * `part`: the bricks of a part, front to back; parts too are counted from front to back. They are asked for in
+    ///   the order in which they are drawn, and again for each band of a picture that is drawn in bands
+    ///
+    /// # Errors
+    /// As [`Self::draw`], and whatever keeps a part from being made.
+    pub fn draw_in_parts<'b, E: From<GpuError>>(
+        &mut self,
+        scene: &Scene,
+        read_back: ReadBack,
+        num_parts: usize,
+        part: &mut dyn FnMut(usize) -> Result<Cow<'b, [GpuBrick]>, E>,
+    ) -> Result<(GpuPicture, GpuStats), E> {
+        let drawn = self.try_draw(scene, read_back, num_parts, part);
         if drawn.is_err() {
             self.residency.forget();
         }
         drawn
     }
 
-    fn try_draw(&mut self, scene: &Scene, bricks: &[GpuBrick]) -> Result<(Image, GpuStats), GpuError> {
+    fn try_draw<'b, E: From<GpuError>>(
+        &mut self,
+        scene: &Scene,
+        read_back: ReadBack,
+        num_parts: usize,
+        part: &mut dyn FnMut(usize) -> Result<Cow<'b, [GpuBrick]>, E>,
+    ) -> Result<(GpuPicture, GpuStats), E> {
         let start = Instant::now();
         self.device.check()?;
-        scene.check()?;
+        scene.check().map_err(GpuError::from)?;
         let mut stats = GpuStats::default();
-        self.colors.set(scene, bricks)?;
-        self.drawing.set_colors(&self.device, &self.colors.words)?;
         let most_bytes = self.options.memory_bytes / 4;
-        let rows = self.drawing.hold_picture(&self.device, scene.size, most_bytes)?;
-        self.residency.hold(&self.device, scene, bricks)?;
-        // Rays gather from front to back, slices are laid over each other from back to front.
-        let reversed: Vec<GpuBrick>;
-        let bricks = match self.options.method {
-            Method::Raycast => bricks,
-            Method::Slices => {
-                reversed = bricks.iter().rev().cloned().collect();
-                &reversed
-            }
-        };
-        let [width, height] = scene.size;
-        let mut image = Image { width, height, pixels: Vec::with_capacity(width * height) };
+        let rows = self.drawing.hold_picture(&self.device, scene.size, most_bytes, read_back)?;
+        let mut picture = GpuPicture::empty(read_back, scene.size);
+        let height = scene.size[1];
         for first_row in (0..height).step_by(rows) {
             let num_rows = rows.min(height - first_row);
-            self.draw_rows(scene, bricks, [first_row, num_rows], &mut stats)?;
-            self.drawing.read_rows(&self.device, num_rows, &mut image.pixels)?;
+            // An empty list is drawn as well: it makes the picture blank.
+            for number in 0..num_parts.max(1) {
+                let bricks = match num_parts {
+                    0 => Cow::Borrowed(&[][..]),
+                    // Rays gather from front to back, slices are laid over each other from back to front.
+                    _ if self.options.method == Method::Slices => {
+                        let mut bricks = part(num_parts - 1 - number)?.into_owned();
+                        bricks.reverse();
+                        Cow::Owned(bricks)
+                    }
+                    _ => part(number)?,
+                };
+                self.draw_part(scene, &bricks, [first_row, num_rows], number == 0, &mut stats)?;
+                if num_parts > 1 {
+                    // What was uploaded of it is held until it was used.
+                    self.device.settle();
+                }
+            }
+            self.drawing.read_rows(&self.device, num_rows, &mut picture)?;
         }
         self.finish(&mut stats, start)?;
-        Ok((image, stats))
+        Ok((picture, stats))
     }
 
-    /// Draws rows of the picture, in as many portions as it takes.
+    /// Draws rows of the picture from a part of the list, in as many portions as it takes.
     ///
     /// * `bricks`: in the order in which they are drawn
-    fn draw_rows(
+    /// * `is_first`: whether nothing was drawn of those rows before
+    fn draw_part(
         &mut self,
         scene: &Scene,
         bricks: &[GpuBrick],
         rows: [usize; 2],
+        mut is_first: bool,
         stats: &mut GpuStats,
     ) -> Result<(), GpuError> {
         let GpuOptions { way, interpolation, .. } = self.options;
-        let (mut drawn, mut is_first) = (0, true);
+        self.colors.set(scene, bricks)?;
+        self.drawing.set_colors(&self.device, &self.colors.words)?;
+        self.residency.hold(&self.device, scene, bricks)?;
+        let mut drawn = 0;
         while is_first || drawn < bricks.len() {
             let mut found = GpuStats::default();
             let mut making = Making { device: &self.device, timer: &mut self.timer, stats: &mut found };

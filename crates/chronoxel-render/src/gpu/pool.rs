@@ -74,10 +74,18 @@ impl PoolShape {
     }
 }
 
+/// When the samples of a slot are of: a step, or between one and a later one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct When {
+    pub step: u32,
+    /// The later payload's key, its step, and the bits of its weight.
+    pub later: Option<(u64, u32, u64)>,
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Slot {
     key: u64,
-    step: u32,
+    when: When,
     range: ValueRange,
     last_use: u64,
 }
@@ -130,9 +138,9 @@ impl Pool {
     }
 
     /// The slot that holds a payload decoded at a step, and its range of values.
-    pub fn find(&mut self, key: u64, step: u32, now: u64) -> Option<(u32, ValueRange)> {
+    pub fn find(&mut self, key: u64, when: When, now: u64) -> Option<(u32, ValueRange)> {
         let of_key = self.of_key.get(&key)?;
-        let slot = *of_key.iter().find(|slot| self.slots[**slot as usize].step == step)?;
+        let slot = *of_key.iter().find(|slot| self.slots[**slot as usize].when == when)?;
         self.slots[slot as usize].last_use = now;
         Some((slot, self.slots[slot as usize].range))
     }
@@ -140,15 +148,14 @@ impl Pool {
     /// A slot for a payload at a step that no slot holds; `None` where all were used since a moment.
     ///
     /// One that holds the payload at another step is taken first: all but its row is where it was.
-    pub fn place(&mut self, key: u64, step: u32, range: ValueRange, since: u64, now: u64) -> Option<Found> {
+    pub fn place(&mut self, key: u64, when: When, range: ValueRange, since: u64, now: u64) -> Option<Found> {
         let of_key = self.of_key.get(&key).map_or(&[][..], Vec::as_slice);
         if let Some(&slot) = of_key.iter().find(|slot| self.slots[**slot as usize].last_use < since) {
-            self.slots[slot as usize].step = step;
-            self.slots[slot as usize].last_use = now;
+            self.slots[slot as usize] = Slot { key, when, range, last_use: now };
             return Some(Found { slot, is_new: false });
         }
         let slot = if (self.slots.len() as u32) < self.shape.num_slots() {
-            self.slots.push(Slot { key, step, range, last_use: now });
+            self.slots.push(Slot { key, when, range, last_use: now });
             self.slots.len() as u32 - 1
         } else {
             let slots = &self.slots;
@@ -158,7 +165,7 @@ impl Pool {
             slot
         };
         self.of_key.entry(key).or_default().push(slot);
-        self.slots[slot as usize] = Slot { key, step, range, last_use: now };
+        self.slots[slot as usize] = Slot { key, when, range, last_use: now };
         Some(Found { slot, is_new: true })
     }
 

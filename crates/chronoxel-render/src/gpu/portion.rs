@@ -1,20 +1,23 @@
 //! What of a draw list is drawn at once: its payloads are uploaded, its slots decoded, its boxes described.
 
 use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
 
 use bytemuck::cast_slice;
 use chronoxel_codec::{Payload, Table as CodedTable};
-use chronoxel_core::{BrickLayout, ResolvedTransfer};
+use chronoxel_core::{BitMask, BrickLayout, ResolvedTransfer};
 
 use super::bank::{Banks, Place, ValueRange, mask_words, pack};
 use super::decode::{Decoder, Job};
 use super::device::Device;
-use super::host::{BrickData, ConstantData, NO_MASK};
+use super::host::{BrickData, ConstantData, NO_LATER, NO_MASK};
 use super::page_table::CellBox;
-use super::pool::{Found, Pool, PoolShape};
+use super::pool::{Found, Pool, PoolShape, When};
 use super::raycast::{Content, Portion, Sources};
 use super::timing::Timer;
-use super::{CodedBrick, GpuBrick, GpuError, GpuHow, GpuOptions, GpuStats, RenderError, Scene, Way};
+use super::{
+    CodedBrick, GpuBrick, GpuError, GpuHow, GpuOptions, GpuStats, LaterStep, RenderError, Scene, Way,
+};
 use crate::cpu::table::{NUM_ENTRIES, Table, premultiplied};
 use crate::scene::MAX_LEVELS;
 
@@ -77,15 +80,17 @@ pub(super) struct Making<'a> {
 #[derive(Debug)]
 pub(super) struct Residency {
     options: GpuOptions,
-    here: Option<Here>,
+    pub(super) here: Option<Here>,
     /// Counts uses.
-    now: u64,
+    pub(super) now: u64,
+    /// Its count when the last list was begun.
+    pub(super) began: u64,
 }
 
 #[derive(Debug)]
-struct Here {
-    layout: BrickLayout,
-    banks: Banks,
+pub(super) struct Here {
+    pub(super) layout: BrickLayout,
+    pub(super) banks: Banks,
     /// Absent for a moment, while it grows.
     slots: Option<Slots>,
     most_slots: u64,
@@ -102,7 +107,7 @@ struct Slots {
 impl Slots {
     /// What is said of the samples in a slot.
     fn samples(&self, slot: u32, range: ValueRange) -> Samples {
-        Samples { slot, payload: 0, step: 0, mask: slot * self.pool.mask_words, range }
+        Samples { slot, payload: 0, step: 0, later: None, mask: slot * self.pool.mask_words, range }
     }
 }
 
@@ -121,6 +126,8 @@ struct Samples {
     /// Where it is decoded at each fetch: the first word of its payload, and its step.
     payload: u32,
     step: u32,
+    /// The same of the later of two steps, and the weight of what it decodes to.
+    later: Option<(u32, u32, f32)>,
     /// The first word of the mask, if there is one.
     mask: u32,
     range: ValueRange,
@@ -131,7 +138,7 @@ const ENTRY_BYTES: u64 = 512;
 
 impl Residency {
     pub fn new(options: &GpuOptions) -> Self {
-        Self { options: options.clone(), here: None, now: 0 }
+        Self { options: options.clone(), here: None, now: 0, began: 0 }
     }
 
     /// Forgets what is resident: after a list that could not be drawn, slots may have been taken and not decoded.
@@ -164,9 +171,10 @@ impl Residency {
             }
             self.here = Some(Here::new(device, &self.options, layout)?);
         }
+        self.began = self.now + 1;
         let here = self.here.as_mut().expect("made above");
         let coded = |brick: &GpuBrick| match &brick.how {
-            GpuHow::Coded(coded) => Some((coded.key, coded.step_in_span)),
+            GpuHow::Coded(coded) => Some((coded.key, When::of(coded))),
             _ => None,
         };
         let num_held = here.slots.as_ref().map_or(0, |slots| slots.pool.shape.num_slots() as usize);
@@ -197,9 +205,14 @@ impl Residency {
         let since = self.now + 1;
         let most = (self.options.memory_bytes / 8 / ENTRY_BYTES).max(1);
         let mut portion = Portion::new();
+        let from = *drawn;
         while *drawn < bricks.len() && (portion.len() as u64) < most {
             let brick = &bricks[*drawn];
             match self.place(making, scene, brick, colors, since)? {
+                Placed::NoRoom if portion.is_empty() && *drawn == from => {
+                    let (given, what) = (self.options.memory_bytes, "the payloads of a brick");
+                    return Err(GpuError::MemoryTooSmall { given, what, needed: given, least: 2 * given });
+                }
                 Placed::NoRoom => break,
                 Placed::Nothing => making.stats.bricks_skipped += 1,
                 Placed::Content(place, content) => {
@@ -346,37 +359,76 @@ impl Here {
         [since, now]: [u64; 2],
     ) -> Result<Result<Samples, Placed>, GpuError> {
         let CodedBrick { key, step_in_span: step, .. } = *coded;
+        let when = When::of(coded);
         if way == Way::Pool
-            && let Some((slot, range)) = self.slots_mut().pool.find(key, step, now)
+            && let Some((slot, range)) = self.slots_mut().pool.find(key, when, now)
         {
             let samples = self.slots().samples(slot, range);
             return Ok(if is_seen(range) { Ok(samples) } else { Err(Placed::Nothing) });
         }
         check_step(&coded.payload, step)?;
         let keeps_all_since = if way == Way::Fetch { Some(since) } else { None };
-        let Some(place) = self.payload(making, coded, keeps_all_since, now)? else {
+        let Some((place, later)) = self.payloads(making, coded, keeps_all_since, now)? else {
             return Ok(Err(Placed::NoRoom));
         };
-        if !is_seen(place.range) {
+        let (range, weight) = match (&coded.later, later) {
+            (Some(of), Some(later)) => place.range.between(later.range, of.weight),
+            _ => (place.range, 0.0),
+        };
+        if !is_seen(range) {
             return Ok(Err(Placed::Nothing));
         }
-        let range = place.range;
+        let later = coded.later.as_ref().zip(later).map(|(of, later)| (later, of.step_in_span));
         if way == Way::Fetch {
             let payload = place.word;
             let mask = place.word + place.num_words - self.layout.num_full().div_ceil(32) as u32;
-            return Ok(Ok(Samples { slot: 0, payload, step, mask, range }));
+            let later = later.map(|(later, step)| (later.word, step, weight));
+            return Ok(Ok(Samples { slot: 0, payload, step, later, mask, range }));
         }
         let layout = self.layout;
         let Slots { pool, decoder, .. } = self.slots_mut();
-        let (slot, is_new) = match pool.place(key, step, range, since, now) {
+        let (slot, is_new) = match pool.place(key, when, range, since, now) {
             None => return Ok(Err(Placed::NoRoom)),
             Some(Found { slot, is_new }) => (slot, is_new),
         };
-        decoder.push(Job { slot, bank: place.bank, step }, place.word);
+        decoder.push(Job { slot, bank: place.bank, step, is_later: false }, place.word);
+        if let Some((later, step)) = later {
+            decoder.push_later(Job { slot, bank: later.bank, step, is_later: true }, later.word, weight);
+        }
         if let (true, Some(mask)) = (is_new, &coded.mask) {
             pool.upload_mask(making.device, slot, &mask_words(mask, &layout)?);
         }
         Ok(Ok(self.slots().samples(slot, range)))
+    }
+
+    /// Where the payload of a brick is, and that of the later of two steps.
+    fn payloads(
+        &mut self,
+        making: &mut Making,
+        coded: &CodedBrick,
+        keeps_all_since: Option<u64>,
+        now: u64,
+    ) -> Result<Option<(Place, Option<Place>)>, GpuError> {
+        let first = |here: &mut Self, making: &mut Making| {
+            here.payload(making, coded.key, &coded.payload, coded.mask.as_ref(), keeps_all_since, now)
+        };
+        let Some(place) = first(self, making)? else { return Ok(None) };
+        let Some(later) = &coded.later else { return Ok(Some((place, None))) };
+        if !(0.0..=1.0).contains(&later.weight) {
+            let remedy = "it must be from 0 to 1";
+            return Err(RenderError::invalid("brick's weight of the later step", later.weight, remedy).into());
+        }
+        check_step(&later.payload, later.step_in_span)?;
+        let of_later = self.payload(making, later.key, &later.payload, None, keeps_all_since, now)?;
+        // Room for the one may have been made where the other was.
+        let (Some(_), Some(place)) = (of_later, first(self, making)?) else { return Ok(None) };
+        match self.banks.get(later.key, now) {
+            Some(of_later) => Ok(Some((place, Some(of_later)))),
+            None => {
+                let (given, what) = (making.device.budget.limit(), "two payloads");
+                Err(GpuError::MemoryTooSmall { given, what, needed: given, least: 2 * given })
+            }
+        }
     }
 
     /// Where a payload is, which is uploaded if need be; `None` where there is no room for it until what was used since
@@ -384,19 +436,21 @@ impl Here {
     fn payload(
         &mut self,
         making: &mut Making,
-        coded: &CodedBrick,
+        key: u64,
+        payload: &Payload,
+        mask: Option<&Arc<BitMask>>,
         keeps_all_since: Option<u64>,
         now: u64,
     ) -> Result<Option<Place>, GpuError> {
-        if let Some(place) = self.banks.get(coded.key, now) {
+        if let Some(place) = self.banks.get(key, now) {
             return Ok(Some(place));
         }
-        let mut packed = pack(&coded.payload, &self.layout)?;
-        if let (Some(_), Some(mask)) = (keeps_all_since, &coded.mask) {
+        let mut packed = pack(payload, &self.layout)?;
+        if let (Some(_), Some(mask)) = (keeps_all_since, mask) {
             packed.append_mask(mask, &self.layout)?;
         }
         loop {
-            if let Some(place) = self.banks.put(making.device, coded.key, &packed, now)? {
+            if let Some(place) = self.banks.put(making.device, key, &packed, now)? {
                 making.stats.payloads_uploaded += 1;
                 return Ok(Some(place));
             }
@@ -415,6 +469,13 @@ impl Here {
             }
             self.flush(making, now)?;
         }
+    }
+}
+
+impl When {
+    fn of(coded: &CodedBrick) -> Self {
+        let later = |later: &LaterStep| (later.key, later.step_in_span, later.weight.to_bits());
+        Self { step: coded.step_in_span, later: coded.later.as_ref().map(later) }
     }
 }
 
@@ -464,7 +525,9 @@ fn brick_of(
         mask,
         payload: samples.payload,
         step: samples.step,
-        padding: [0; 3],
+        later: samples.later.map_or(NO_LATER, |later| later.0),
+        later_step: samples.later.map_or(0, |later| later.1),
+        later_weight: samples.later.map_or(0.0, |later| later.2),
     }
 }
 

@@ -7,10 +7,11 @@ use chronoxel_core::{PictureRays, Projection, UniformGrid};
 use rayon::prelude::*;
 
 use super::device::{Device, storage, uniform};
-use super::host::{BrickData, ConstantData, LightingData, ViewData};
+use super::host::{BrickData, ConstantData, LightingData, NO_LATER, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::{CellBox, Entry, PageTable};
 use super::pool::Pool;
+use super::read_back::{Drawn, GpuPicture, Packer, ReadBack};
 use super::timing::{Span, Timer};
 use super::{GpuError, Interpolation, Scene, Way, import};
 use crate::cpu::{LEAST_TRANSMITTANCE, table::NUM_ENTRIES};
@@ -32,14 +33,33 @@ struct Picture {
     width: u32,
     rows: u32,
     gathered: Buffer,
-    read: Buffer,
+    back: Back,
+}
+
+/// What a picture is read back by.
+#[derive(Debug)]
+enum Back {
+    Floats(Buffer),
+    Bytes(Packer),
+    Nothing,
+}
+
+impl Back {
+    fn is(&self, read_back: ReadBack) -> bool {
+        let own = match self {
+            Self::Floats(_) => ReadBack::Floats,
+            Self::Bytes(_) => ReadBack::Bytes,
+            Self::Nothing => ReadBack::Nothing,
+        };
+        own == read_back
+    }
 }
 
 /// What the ray caster holds.
 #[derive(Debug)]
 pub(super) struct Caster {
     layout: wgpu::BindGroupLayout,
-    pipelines: HashMap<[bool; 3], wgpu::ComputePipeline>,
+    pipelines: HashMap<Key, wgpu::ComputePipeline>,
     sampler: wgpu::Sampler,
     view: Buffer,
     nodes: Mirror,
@@ -60,6 +80,17 @@ pub(super) struct Shot<'a> {
     pub rows: [usize; 2],
     /// Whether nothing was drawn of those rows before.
     pub is_first: bool,
+}
+
+/// What sets pipelines apart: lit, decoded at each fetch, of which some between two steps, and colours interpolated.
+pub(super) type Key = [bool; 4];
+
+/// The pipeline that a portion is drawn with.
+pub(super) fn key_of(shot: &Shot, portion: &Portion) -> Key {
+    let fetches = shot.way == Way::Fetch;
+    let is_between = |content: &Content| matches!(content, Content::Brick(brick) if brick.later != NO_LATER);
+    let blends = fetches && portion.iter().any(|(_, content)| is_between(content));
+    [shot.scene.lighting.is_some(), fetches, blends, shot.interpolation == Interpolation::Color]
 }
 
 /// Where samples are found.
@@ -113,6 +144,7 @@ impl Caster {
         device: &Device,
         [width, height]: [usize; 2],
         most_bytes: u64,
+        read_back: ReadBack,
     ) -> Result<usize, GpuError> {
         let row_bytes = 16 * width as u64;
         let limits = &device.limits;
@@ -125,15 +157,23 @@ impl Caster {
             return Err(GpuError::MemoryTooSmall { given, what, needed, least });
         }
         let (width, rows) = (width as u32, most_rows as u32);
-        if self.picture.as_ref().is_none_or(|p| [p.width, p.rows] != [width, rows]) {
+        let is_held = |p: &Picture| [p.width, p.rows] == [width, rows] && p.back.is(read_back);
+        if !self.picture.as_ref().is_some_and(is_held) {
             if self.picture.take().is_some() {
                 device.settle();
             }
             use wgpu::BufferUsages as Usage;
             let bytes = row_bytes * most_rows;
             let gathered = device.buffer("the picture", bytes, Usage::STORAGE | Usage::COPY_SRC)?;
-            let read = device.buffer("the picture to read", bytes, Usage::COPY_DST | Usage::MAP_READ)?;
-            self.picture = Some(Picture { width, rows, gathered, read });
+            let back = match read_back {
+                ReadBack::Floats => {
+                    let usage = Usage::COPY_DST | Usage::MAP_READ;
+                    Back::Floats(device.buffer("the picture to read", bytes, usage)?)
+                }
+                ReadBack::Bytes => Back::Bytes(Packer::new(device, Drawn::Rays(&gathered.raw), bytes / 16)?),
+                ReadBack::Nothing => Back::Nothing,
+            };
+            self.picture = Some(Picture { width, rows, gathered, back });
         }
         Ok(most_rows as usize)
     }
@@ -152,14 +192,14 @@ impl Caster {
         sources: Sources,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        let Shot { scene, way, interpolation, rows, is_first } = shot;
+        let Shot { scene, rows, is_first, .. } = shot;
         let root_level = self.set_lists(device, scene, portion)?;
         let mut view = view_of(scene, rows);
         view.root_level = root_level;
         view.is_first = u32::from(is_first);
         view.per_texel = sources.pool.shape.texels().map(|n| 1.0 / n as f32);
         device.upload(&self.view.raw, 0, bytes_of(&view));
-        let key = [scene.lighting.is_some(), way == Way::Fetch, interpolation == Interpolation::Color];
+        let key = key_of(&shot, portion);
         self.hold_pipeline(device, key)?;
         let group = self.bind(device, sources);
         let mut encoder = device.raw.create_command_encoder(&Default::default());
@@ -201,12 +241,13 @@ impl Caster {
         Ok(table.root_level)
     }
 
-    fn hold_pipeline(&mut self, device: &Device, key: [bool; 3]) -> Result<(), GpuError> {
+    fn hold_pipeline(&mut self, device: &Device, key: Key) -> Result<(), GpuError> {
         if !self.pipelines.contains_key(&key) {
-            let [lit, fetch, color] = key.map(|flag| f64::from(u8::from(flag)));
+            let [lit, fetch, blend, color] = key.map(|flag| f64::from(u8::from(flag)));
             let constants = [
                 ("LIT", lit),
                 ("FETCH", fetch),
+                ("BLEND", blend),
                 ("INTERPOLATE_COLOR", color),
                 ("LEAST_TRANSMITTANCE", LEAST_TRANSMITTANCE.into()),
                 ("NUM_COLORS", NUM_ENTRIES as f64),
@@ -236,22 +277,25 @@ impl Caster {
     }
 
     /// Appends rows that were drawn to a picture, alpha in place of transmittance.
-    pub fn read_rows(
-        &self,
-        device: &Device,
-        num_rows: usize,
-        pixels: &mut Vec<[f32; 4]>,
-    ) -> Result<(), GpuError> {
+    pub fn read_rows(&self, device: &Device, num_rows: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         let picture = self.picture.as_ref().expect("room for a picture is made before it is drawn");
-        let bytes = 16 * u64::from(picture.width) * num_rows as u64;
-        let mut encoder = device.raw.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &picture.read.raw, 0, bytes);
-        device.queue.submit([encoder.finish()]);
-        device.read(&picture.read.raw, bytes, |bytes| {
-            let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
-            let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
-            pixels.par_extend(gathered.with_min_len(4096).map(pixel));
-        })
+        let num_pixels = u64::from(picture.width) * num_rows as u64;
+        match (&picture.back, into) {
+            (Back::Floats(read), GpuPicture::Floats(image)) => {
+                let mut encoder = device.raw.create_command_encoder(&Default::default());
+                encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &read.raw, 0, 16 * num_pixels);
+                device.queue.submit([encoder.finish()]);
+                device.read(&read.raw, 16 * num_pixels, |bytes| {
+                    let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
+                    let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
+                    image.pixels.par_extend(gathered.with_min_len(4096).map(pixel));
+                })
+            }
+            (Back::Bytes(packer), GpuPicture::Bytes(image)) => {
+                packer.read(device, Drawn::Rays(&picture.gathered.raw), num_pixels, &mut image.pixels)
+            }
+            _ => Ok(()),
+        }
     }
 }
 

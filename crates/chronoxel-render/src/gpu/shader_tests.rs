@@ -6,7 +6,7 @@ use naga::{Module, TypeInner};
 use super::host::{
     BatchData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
 };
-use super::import::{DECODE, RAYCAST, SHARED, SLICES, with_imports};
+use super::import::{BYTES, DECODE, RAYCAST, SHARED, SLICES, with_imports};
 
 #[track_caller]
 fn parsed(name: &str, text: &str) -> Module {
@@ -47,6 +47,7 @@ macro_rules! layout_of {
 
 #[test]
 fn every_shader_is_valid() {
+    parsed("bytes.wgsl", BYTES);
     parsed("decode.wgsl", &with_imports(DECODE));
     parsed("raycast.wgsl", &with_imports(RAYCAST));
     parsed("slices.wgsl", &with_imports(SLICES));
@@ -112,7 +113,19 @@ fn structs_are_laid_out_alike() {
     );
     assert_eq!(
         layout_in(&raycast, "Brick"),
-        layout_of!(BrickData { origin, scale, texel, colors, index_from_texel, mask, payload, step })
+        layout_of!(BrickData {
+            origin,
+            scale,
+            texel,
+            colors,
+            index_from_texel,
+            mask,
+            payload,
+            step,
+            later,
+            later_step,
+            later_weight,
+        })
     );
     assert_eq!(layout_in(&raycast, "Constant"), layout_of!(ConstantData { color, log_transmittance, scale }));
     assert_eq!(

@@ -10,10 +10,11 @@ use super::device::{Device, storage, uniform};
 use super::host::{CONSTANT, PlanesData, VertexData, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::CellBox;
-use super::raycast::{Content, Portion, Shot, Sources, start_depth, view_of};
+use super::raycast::{Content, Key, Portion, Shot, Sources, key_of, start_depth, view_of};
+use super::read_back::{GpuPicture, ReadBack};
 use super::target::{Target, format_of};
 use super::timing::{Span, Timer};
-use super::{GpuError, Interpolation, Scene, Way, import};
+use super::{GpuError, Scene, import};
 use crate::cpu::table::NUM_ENTRIES;
 use crate::{SliceList, SliceOrder, Slicer};
 
@@ -21,7 +22,7 @@ use crate::{SliceList, SliceOrder, Slicer};
 #[derive(Debug)]
 pub(super) struct Slicing {
     layout: wgpu::BindGroupLayout,
-    pipelines: HashMap<[bool; 3], wgpu::RenderPipeline>,
+    pipelines: HashMap<Key, wgpu::RenderPipeline>,
     sampler: wgpu::Sampler,
     view: Buffer,
     planes: Buffer,
@@ -85,7 +86,7 @@ impl Polygons {
 
 /// With what polygons are drawn.
 struct Pass {
-    key: [bool; 3],
+    key: Key,
     group: wgpu::BindGroup,
     /// Whether the picture holds what was drawn before, or nothing, rather than another picture.
     is_clear: bool,
@@ -130,13 +131,14 @@ impl Slicing {
         device: &Device,
         size: [usize; 2],
         most_bytes: u64,
+        read_back: ReadBack,
     ) -> Result<usize, GpuError> {
         let (width, rows) = (size[0] as u32, Target::rows_within(device, size, most_bytes)?);
-        if self.target.as_ref().is_none_or(|t| [t.width, t.rows] != [width, rows]) {
+        if !self.target.as_ref().is_some_and(|t| t.is([width, rows], read_back)) {
             if self.target.take().is_some() {
                 device.settle();
             }
-            self.target = Some(Target::new(device, width, rows)?);
+            self.target = Some(Target::new(device, [width, rows], read_back)?);
         }
         Ok(rows as usize)
     }
@@ -155,13 +157,13 @@ impl Slicing {
         sources: Sources,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        let Shot { scene, way, interpolation, rows, is_first } = shot;
+        let Shot { scene, rows, is_first, .. } = shot;
         let mut view = view_of(scene, rows);
         view.per_texel = sources.pool.shape.texels().map(|n| 1.0 / n as f32);
         device.upload(&self.view.raw, 0, bytes_of(&view));
         device.upload(&self.planes.raw, 0, bytes_of(&planes_of(scene, rows)));
         let cuts = self.set_lists(device, scene, portion)?;
-        let key = [scene.lighting.is_some(), way == Way::Fetch, interpolation == Interpolation::Color];
+        let key = key_of(&shot, portion);
         self.hold_pipeline(device, key)?;
         let mut pass = Pass { key, group: self.bind(device, sources), is_clear: !is_first };
         self.cut(device, scene, &cuts, &mut pass, timer)?;
@@ -257,7 +259,7 @@ impl Slicing {
         of.is_clear = true;
     }
 
-    fn hold_pipeline(&mut self, device: &Device, key: [bool; 3]) -> Result<(), GpuError> {
+    fn hold_pipeline(&mut self, device: &Device, key: Key) -> Result<(), GpuError> {
         if !self.pipelines.contains_key(&key) {
             let pipeline = pipeline_of(device, &self.layout, key)?;
             self.pipelines.insert(key, pipeline);
@@ -285,14 +287,9 @@ impl Slicing {
     }
 
     /// Appends rows that were drawn to a picture.
-    pub fn read_rows(
-        &self,
-        device: &Device,
-        num_rows: usize,
-        pixels: &mut Vec<[f32; 4]>,
-    ) -> Result<(), GpuError> {
+    pub fn read_rows(&self, device: &Device, num_rows: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         let target = self.target.as_ref().expect("room for a picture is made before it is drawn");
-        target.read_rows(device, num_rows as u32, pixels)
+        target.read_rows(device, num_rows as u32, into)
     }
 }
 
@@ -321,11 +318,16 @@ fn layout_of(device: &Device) -> wgpu::BindGroupLayout {
 fn pipeline_of(
     device: &Device,
     layout: &wgpu::BindGroupLayout,
-    key: [bool; 3],
+    key: Key,
 ) -> Result<wgpu::RenderPipeline, GpuError> {
-    let [lit, fetch, color] = key.map(|flag| f64::from(u8::from(flag)));
-    let constants =
-        [("LIT", lit), ("FETCH", fetch), ("INTERPOLATE_COLOR", color), ("NUM_COLORS", NUM_ENTRIES as f64)];
+    let [lit, fetch, blend, color] = key.map(|flag| f64::from(u8::from(flag)));
+    let constants = [
+        ("LIT", lit),
+        ("FETCH", fetch),
+        ("BLEND", blend),
+        ("INTERPOLATE_COLOR", color),
+        ("NUM_COLORS", NUM_ENTRIES as f64),
+    ];
     let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
     let over = wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING;
     let target = wgpu::ColorTargetState {

@@ -3,6 +3,7 @@
 use super::GpuError;
 use super::device::Device;
 use super::memory::{Buffer, Share};
+use super::read_back::{Drawn, GpuPicture, Packer, ReadBack};
 
 /// Rows of the picture that are drawn at a time, and a buffer to read them from.
 #[derive(Debug)]
@@ -11,8 +12,16 @@ pub(super) struct Target {
     pub rows: u32,
     raw: wgpu::Texture,
     pub view: wgpu::TextureView,
-    read: Buffer,
+    back: Back,
     _share: Share,
+}
+
+/// What it is read back by.
+#[derive(Debug)]
+enum Back {
+    Floats(Buffer),
+    Bytes(Packer),
+    Nothing,
 }
 
 impl Drop for Target {
@@ -65,12 +74,20 @@ impl Target {
         Ok(rows.min(most_edge).min(height as u64) as u32)
     }
 
-    pub fn new(device: &Device, width: u32, rows: u32) -> Result<Self, GpuError> {
+    /// Whether it is one of a size that is read back so.
+    pub fn is(&self, size: [u32; 2], read_back: ReadBack) -> bool {
+        let own = match self.back {
+            Back::Floats(_) => ReadBack::Floats,
+            Back::Bytes(_) => ReadBack::Bytes,
+            Back::Nothing => ReadBack::Nothing,
+        };
+        own == read_back && [self.width, self.rows] == size
+    }
+
+    pub fn new(device: &Device, [width, rows]: [u32; 2], read_back: ReadBack) -> Result<Self, GpuError> {
         use wgpu::TextureUsages as Usage;
         let [drawn, read] = row_bytes(device, width.into()).map(|bytes| bytes * u64::from(rows));
         let share = device.budget.take(drawn, "the picture")?;
-        let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
-        let read = device.buffer("the picture to read", read, usage)?;
         let raw = device.raw.create_texture(&wgpu::TextureDescriptor {
             label: Some("the picture"),
             size: wgpu::Extent3d { width, height: rows, depth_or_array_layers: 1 },
@@ -78,17 +95,42 @@ impl Target {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format: format_of(device),
-            usage: Usage::RENDER_ATTACHMENT | Usage::COPY_SRC,
+            usage: Usage::RENDER_ATTACHMENT | Usage::COPY_SRC | Usage::TEXTURE_BINDING,
             view_formats: &[],
         });
         let view = raw.create_view(&Default::default());
-        Ok(Self { width, rows, raw, view, read, _share: share })
+        let back = match read_back {
+            ReadBack::Floats => {
+                let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
+                Back::Floats(device.buffer("the picture to read", read, usage)?)
+            }
+            ReadBack::Bytes => {
+                let num_pixels = u64::from(width) * u64::from(rows);
+                Back::Bytes(Packer::new(device, Drawn::Slices(&view), num_pixels)?)
+            }
+            ReadBack::Nothing => Back::Nothing,
+        };
+        Ok(Self { width, rows, raw, view, back, _share: share })
     }
 
     /// Appends rows that were drawn to a picture.
-    pub fn read_rows(
+    pub fn read_rows(&self, device: &Device, num_rows: u32, into: &mut GpuPicture) -> Result<(), GpuError> {
+        match (&self.back, into) {
+            (Back::Floats(read), GpuPicture::Floats(image)) => {
+                self.read_floats(device, read, num_rows, &mut image.pixels)
+            }
+            (Back::Bytes(packer), GpuPicture::Bytes(image)) => {
+                let num_pixels = u64::from(self.width) * u64::from(num_rows);
+                packer.read(device, Drawn::Slices(&self.view), num_pixels, &mut image.pixels)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn read_floats(
         &self,
         device: &Device,
+        read: &Buffer,
         num_rows: u32,
         pixels: &mut Vec<[f32; 4]>,
     ) -> Result<(), GpuError> {
@@ -101,12 +143,12 @@ impl Target {
         };
         encoder.copy_texture_to_buffer(
             self.raw.as_image_copy(),
-            wgpu::TexelCopyBufferInfo { buffer: &self.read.raw, layout },
+            wgpu::TexelCopyBufferInfo { buffer: &read.raw, layout },
             wgpu::Extent3d { width: self.width, height: num_rows, depth_or_array_layers: 1 },
         );
         device.queue.submit([encoder.finish()]);
         let is_wide = device.info.has_blendable_floats;
-        device.read(&self.read.raw, stride * u64::from(num_rows), |bytes| {
+        device.read(&read.raw, stride * u64::from(num_rows), |bytes| {
             for row in bytes.chunks_exact(stride as usize).map(|row| &row[..drawn as usize]) {
                 if is_wide {
                     pixels.extend_from_slice(bytemuck::cast_slice(row));

@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
-use chronoxel_codec::{Indices, Payload, Stage, Table, decode_resident};
-use chronoxel_core::{Camera, Lighting, NodeId, Projection, ResidentBrick, UniformGrid};
+use chronoxel_codec::{Indices, Payload, Stage, Table, decode_f64, decode_resident, quantize_affine};
+use chronoxel_core::{
+    BitMask, BrickLayout, Camera, Lighting, NodeId, Projection, ResidentBrick, UniformGrid,
+};
 use chronoxel_render::{
-    CodedBrick, DrawBrick, DrawHow, GpuBrick, GpuHow, GpuStats, PreparedBrick, Scene, render,
+    CodedBrick, DrawBrick, DrawHow, GpuBrick, GpuHow, GpuStats, LaterStep, PreparedBrick, Scene, render,
 };
 
 use super::{Field, Quantise, in_order, region_of, scene_of, waves};
@@ -68,7 +70,7 @@ impl Field {
         let payload = Arc::new(payload_of(&brick, coding));
         let step_in_span = if coding == Coding::Affine { 0 } else { NUM_STEPS - 1 };
         let mask = brick.mask.map(Arc::new);
-        let coded = CodedBrick { key: key_of(node), payload, step_in_span, mask };
+        let coded = CodedBrick { key: key_of(node), payload, step_in_span, mask, later: None };
         GpuBrick { node, region, how: GpuHow::Coded(coded) }
     }
 
@@ -96,13 +98,33 @@ pub fn cpu_list(case: &Case) -> Vec<DrawBrick> {
             GpuHow::ConstantColor(color, opacity) => DrawHow::ConstantColor(*color, *opacity),
             GpuHow::Coded(coded) => {
                 let mask = coded.mask.as_deref().cloned();
-                let resident = decode_resident(&coded.payload, layout, coded.step_in_span, mask).unwrap();
+                let resident = match &coded.later {
+                    None => decode_resident(&coded.payload, layout, coded.step_in_span, mask).unwrap(),
+                    Some(later) => between(coded, later, layout, mask),
+                };
                 DrawHow::Samples(Arc::new(PreparedBrick::new(resident, layout).unwrap()))
             }
         };
         DrawBrick { node: brick.node, region: brick.region, how }
     });
     bricks.collect()
+}
+
+/// A brick between two steps, by definition: samples interpolated in double precision, quantised once.
+fn between(
+    coded: &CodedBrick,
+    later: &LaterStep,
+    layout: &BrickLayout,
+    mask: Option<BitMask>,
+) -> ResidentBrick {
+    let mut samples = decode_f64(&coded.payload, layout, coded.step_in_span).unwrap();
+    let of_later = decode_f64(&later.payload, layout, later.step_in_span).unwrap();
+    samples.iter_mut().zip(of_later).for_each(|(a, b)| *a += later.weight * (b - *a));
+    let stage = quantize_affine(&samples, false, 16).unwrap();
+    let (Indices::U16(samples), Table::Affine { offset, scale }) = (stage.indices, stage.table) else {
+        panic!("16 bits were asked for");
+    };
+    ResidentBrick { samples, offset, scale, mask }
 }
 
 /// The picture that the CPU makes of a case.

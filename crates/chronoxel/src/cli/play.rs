@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use chronoxel_core::UniformGrid;
+use chronoxel_render::ReadBack;
 
 use super::{
     args::{Common, StepRange, parse_finite},
@@ -213,6 +214,7 @@ impl PlayArgs {
             throttle: self.throttle.map(|rate| rate.0 as f64),
             upload_limit: self.upload_limit.map(|limit| limit.0),
             redraws: true,
+            read_back: ReadBack::Bytes,
         };
         let mut player = Player::new(session, order, options)?;
         if self.warm == Switch::On {

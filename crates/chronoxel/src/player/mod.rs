@@ -7,6 +7,10 @@
 mod loader;
 mod nodes;
 mod path;
+mod reading;
+mod spans;
+mod uploads;
+mod wants;
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -15,13 +19,12 @@ use std::{
 };
 
 use anyhow::bail;
-use chronoxel_core::{NodeId, Octree, SpanKind, SpanRecord};
-use chronoxel_stream::{
-    ActiveCut, CutLimits, DrawItem, How, NodeView, Pace, Residency, State, Tier, ViewVolume, Want,
-};
+use chronoxel_core::{NodeId, SpanRecord};
+use chronoxel_render::{GpuPicture, ReadBack};
+use chronoxel_stream::{ActiveCut, CutLimits, DrawItem, How, NodeView, Pace, Residency, State, ViewVolume};
 
-use crate::session::{Faults, Held, HeldKey, Picture, Session, Spans, View};
-use loader::{Answer, Job, Loader};
+use crate::session::{Faults, HeldKey, Picture, Session, Spans, View};
+use loader::Loader;
 use nodes::{ColorErrors, FrameNodes, StepSpans, key_of};
 pub use path::CameraPath;
 
@@ -47,11 +50,20 @@ pub struct PlayerOptions {
     pub upload_limit: Option<u64>,
     /// Draw every frame as if something had changed: for measuring. Else what rests is refined to full quality, and then not drawn again.
     pub redraws: bool,
+    /// What comes back of pictures.
+    pub read_back: ReadBack,
 }
 
 impl Default for PlayerOptions {
     fn default() -> Self {
-        Self { target_fps: None, late: Late::Wait, throttle: None, upload_limit: None, redraws: false }
+        Self {
+            target_fps: None,
+            late: Late::Wait,
+            throttle: None,
+            upload_limit: None,
+            redraws: false,
+            read_back: ReadBack::Floats,
+        }
     }
 }
 
@@ -59,7 +71,7 @@ impl Default for PlayerOptions {
 #[derive(Debug, Clone)]
 pub struct Played {
     /// What it shows. `None` where nothing changed since the one before, and nothing was drawn.
-    pub picture: Option<Picture>,
+    pub picture: Option<Picture<GpuPicture>>,
     /// Its place in the order of play.
     pub place: usize,
     /// Steps left out between the frame before and this one.
@@ -122,6 +134,9 @@ pub struct Player {
     before: Option<(View, u32, bool)>,
     place: Option<usize>,
     warnings: Vec<String>,
+    /// Bytes of payloads sent to the GPU for the last frame, under a limit; and of all else.
+    payload_upload: u64,
+    upload_overhead: u64,
     started: Instant,
     num_frames: u64,
 }
@@ -164,6 +179,8 @@ impl Player {
             before: None,
             place: None,
             warnings: Vec::new(),
+            payload_upload: 0,
+            upload_overhead: 0,
             started: Instant::now(),
             num_frames: 0,
         })
@@ -228,11 +245,18 @@ impl Player {
         self.want(view, place, &spans, &needed, &adapted.wanted);
         self.request();
         self.wait_for(&needed, place, &mut waited)?;
-        let (items, num_stand_ins) = self.with_stand_ins(items, step);
+        let (mut items, mut num_stand_ins) = self.with_stand_ins(items, step);
+        if let Some(limit) = self.options.upload_limit {
+            num_stand_ins += self.limit_uploads(&mut items, place, limit)?;
+        }
         let start = Instant::now();
-        let picture = self.session.draw_selected(view, step, 0.0, &items, faults)?;
+        let picture =
+            self.session.draw_selected(view, (step, 0.0), &items, self.options.read_back, faults)?;
         if let Some(pace) = &mut self.pace {
             pace.measured(start.elapsed().as_secs_f64() * 1e3 + adapted.ms, adapted.cost);
+        }
+        if let Some(on_gpu) = picture.on_gpu {
+            self.upload_overhead = on_gpu.bytes_uploaded.saturating_sub(self.payload_upload);
         }
         let is_refined = is_at_rest || self.pace.is_none();
         let is_settled = adapted.is_settled && is_refined && num_stand_ins == 0;
@@ -343,63 +367,6 @@ fn frame_nodes<'a>(
     }
 }
 
-/// Spans: what of each node is stored, step by step.
-impl Player {
-    fn num_levels(&self) -> u8 {
-        self.session.store().tree().num_levels() as u8
-    }
-
-    /// Spans of all levels of a step, if none is missing that can be read.
-    fn spans_in_memory(&self, step: u32) -> Option<Vec<Option<Spans>>> {
-        let of_levels = (0..self.num_levels()).map(|level| match self.spans.get(&(step, level)) {
-            Some(spans) => Some(Some(Arc::clone(spans))),
-            None => self.spans_failed.contains(&(step, level)).then_some(None),
-        });
-        of_levels.collect()
-    }
-
-    /// Spans of the step to draw, waiting for them; those of the steps after it are asked for.
-    fn spans_of(&mut self, place: usize, waited: &mut Waited) -> anyhow::Result<StepSpans> {
-        let ahead: Vec<u32> = (0..=self.num_ahead).map(|d| self.step_at(place + d)).collect();
-        let top = self.num_levels() - 1;
-        self.spans.retain(|(step, level), _| *level == top || ahead.contains(step));
-        for (distance, step) in ahead.iter().enumerate() {
-            for level in 0..self.num_levels() {
-                self.ask_for_spans(*step, level, distance == 0);
-            }
-        }
-        self.ask_for_coarse_spans();
-        let start = Instant::now();
-        loop {
-            if let Some(of_levels) = self.spans_in_memory(ahead[0]) {
-                waited.ms += start.elapsed().as_secs_f64() * 1e3;
-                let spans = StepSpans::new(self.session.tree(), of_levels);
-                self.session.give_spans(spans.of_levels(), ahead[0]);
-                return Ok(spans);
-            }
-            self.hear()?;
-        }
-    }
-
-    /// The coarsest level of all steps, a few more each frame.
-    fn ask_for_coarse_spans(&mut self) {
-        let top = self.num_levels() - 1;
-        let end = self.order.len().min(self.coarse_asked + COARSE_STEPS_PER_FRAME);
-        for place in self.coarse_asked..end {
-            self.ask_for_spans(self.step_at(place), top, false);
-        }
-        self.coarse_asked = end;
-    }
-
-    fn ask_for_spans(&mut self, step: u32, level: u8, is_urgent: bool) {
-        let key = (step, level);
-        let is_known = self.spans.contains_key(&key) || self.spans_failed.contains(&key);
-        if !is_known && self.spans_asked.insert(key) {
-            self.loader.begin(Job::Spans { level, step }, is_urgent);
-        }
-    }
-}
-
 /// The cut and what it needs.
 impl Player {
     fn adapt(&mut self, view: &View, spans: &StepSpans, is_at_rest: bool) -> Adapted {
@@ -457,240 +424,7 @@ impl Player {
         let hits = needed.keys().filter(|key| self.residency.state(key) == State::Resident).count() as u64;
         [hits, needed.len() as u64 - hits]
     }
-
-    /// Tells the state machine what this frame needs and what the next ones will.
-    ///
-    /// * `of_splits`: nodes for which the cut waits
-    fn want(
-        &mut self,
-        view: &View,
-        place: usize,
-        spans: &StepSpans,
-        needed: &BTreeMap<HeldKey, SpanRecord>,
-        of_splits: &[NodeId],
-    ) {
-        let mut wants =
-            Wants::new(self.session.store(), self.session.variable(), self.residency.budget_bytes());
-        needed.iter().for_each(|(key, record)| wants.add(*key, record, Tier::Needed));
-        let tree = Arc::clone(self.session.tree());
-        // The coarsest brick of the step stands in for everything that is late.
-        if let Some((key, record)) =
-            spans.record(&tree, tree.root()).and_then(|r| Some((key_of(tree.root().level, r)?, r)))
-        {
-            wants.add(key, record, Tier::Needed);
-        }
-        for node in of_splits {
-            if let Some((key, record)) =
-                spans.record(&tree, *node).and_then(|r| Some((key_of(node.level, r)?, r)))
-            {
-                wants.add(key, record, Tier::Coming(0));
-            }
-        }
-        self.want_ahead(view, place, &tree, &mut wants);
-        for place in 0..self.order.len() {
-            let Some(of_root) = self.spans.get(&(self.order[place], tree.root().level)) else { continue };
-            if let Some(key) = key_of(tree.root().level, &of_root[0]) {
-                wants.add(key, &of_root[0], Tier::Coarse);
-            }
-        }
-        self.wanted = wants.records;
-        self.residency.set_wants(wants.list);
-        let withdrawn: HashSet<HeldKey> = self.residency.take_withdrawn().into_iter().collect();
-        if !withdrawn.is_empty() {
-            for key in self.loader.withdraw(&|key| withdrawn.contains(key)) {
-                self.residency.cancelled(key);
-            }
-        }
-    }
-
-    /// What the nodes on the cut will need at the next steps, nearest first, as far as it fits.
-    fn want_ahead(&self, view: &View, place: usize, tree: &Octree, wants: &mut Wants<'_>) {
-        let volume = self.session.view_volume(view);
-        let header = self.session.store().header();
-        let on_cut: Vec<NodeId> =
-            self.cut.nodes().filter(|node| volume.may_see(box_of(*node, header))).collect();
-        // The span of each that was wanted last.
-        let mut last: Vec<Option<SpanRecord>> = vec![None; on_cut.len()];
-        for distance in 1..=self.num_ahead {
-            let step = self.step_at(place + distance);
-            let Some(spans) = self.spans_in_memory(step) else { continue };
-            let record_of = |node: NodeId| spans[usize::from(node.level)].as_ref()?.get(tree.rank(node)?);
-            for (node, last) in on_cut.iter().zip(&mut last) {
-                if last.is_some_and(|last| (last.start..last.start + last.len).contains(&step)) {
-                    continue;
-                }
-                let Some(record) = record_of(*node) else { continue };
-                *last = Some(*record);
-                let is_seen = !view.transfer.is_transparent_over(record.drawn_range);
-                if let Some(key) = key_of(node.level, record).filter(|_| is_seen) {
-                    wants.add(key, record, Tier::Coming(distance as u32));
-                }
-            }
-            if wants.is_full() {
-                return;
-            }
-        }
-    }
 }
 
 /// Most splits of the cut in a frame with a target.
 const MOST_SPLITS: usize = 64;
-
-/// Wants of a frame, each once, at its most urgent.
-struct Wants<'a> {
-    store: &'a chronoxel_store::Store,
-    variable: usize,
-    list: Vec<Want<HeldKey>>,
-    records: HashMap<HeldKey, SpanRecord>,
-    left_bytes: usize,
-}
-
-impl<'a> Wants<'a> {
-    fn new(store: &'a chronoxel_store::Store, variable: usize, budget_bytes: usize) -> Self {
-        Self { store, variable, list: Vec::new(), records: HashMap::new(), left_bytes: budget_bytes }
-    }
-
-    /// Adds one; more urgent ones come first.
-    fn add(&mut self, key: HeldKey, record: &SpanRecord, tier: Tier) {
-        if self.records.insert(key, *record).is_none() {
-            let num_bytes = Held::most_bytes(self.store, self.variable, record);
-            self.left_bytes = self.left_bytes.saturating_sub(num_bytes);
-            self.list.push(Want { key, tier, num_bytes });
-        }
-    }
-
-    fn is_full(&self) -> bool {
-        self.left_bytes == 0
-    }
-}
-
-/// The box of a node in voxels.
-fn box_of(node: NodeId, header: &chronoxel_store::Header) -> [[f64; 3]; 2] {
-    let size = (header.bricks.edge << node.level) as f64;
-    let low = node.brick().map(|b| f64::from(b) * size);
-    [low, low.map(|v| v + size)]
-}
-
-/// Reading.
-impl Player {
-    /// Begins what the state machine says, and forgets what it says.
-    fn request(&mut self) {
-        let mut requests = self.residency.next_requests();
-        for key in self.residency.take_evicted() {
-            self.session.take_back(&key);
-        }
-        // Urgent ones first; those of a batch in the order in which they lie in the store.
-        for batch in requests.chunks_mut(BATCH) {
-            batch.sort_unstable();
-            for same in batch.chunk_by(|a, b| a.level() == b.level()) {
-                let wanted: Vec<_> =
-                    same.iter().filter_map(|key| Some((*key, *self.wanted.get(key)?))).collect();
-                self.loader.begin(Job::Held { level: same[0].level(), wanted }, false);
-            }
-        }
-    }
-
-    /// Takes the answers that are there.
-    fn listen(&mut self) {
-        while let Some(answer) = self.loader.try_answer() {
-            self.take(answer);
-        }
-    }
-
-    /// Waits for an answer, and begins what it makes room for.
-    fn hear(&mut self) -> anyhow::Result<()> {
-        if let Some(answer) = self.loader.wait(PATIENCE)? {
-            self.take(answer);
-            self.listen();
-            self.request();
-        }
-        Ok(())
-    }
-
-    fn take(&mut self, answer: Answer) {
-        match answer {
-            Answer::Spans { level, step, spans } => {
-                self.spans_asked.remove(&(step, level));
-                match spans {
-                    Ok(spans) => drop(self.spans.insert((step, level), Arc::new(spans))),
-                    Err(_) => drop(self.spans_failed.insert((step, level))),
-                }
-            }
-            Answer::Held { key, held: Ok(held) } => {
-                if self.residency.loaded(key, held.num_bytes()) {
-                    self.session.give(key, held);
-                }
-            }
-            Answer::Held { key, held: Err(error) } => {
-                self.residency.failed(key);
-                if self.residency.state(&key) == State::Failed {
-                    self.warnings.push(format!("{error}; a coarser brick is drawn instead"));
-                }
-            }
-        }
-    }
-
-    /// Waits until a frame can be drawn as it should be, or as it may be.
-    fn wait_for(
-        &mut self,
-        needed: &BTreeMap<HeldKey, SpanRecord>,
-        place: usize,
-        waited: &mut Waited,
-    ) -> anyhow::Result<()> {
-        let start = Instant::now();
-        let tree = Arc::clone(self.session.tree());
-        let root = tree.root();
-        let root_key = match self.session.record(&tree, root, self.step_at(place)) {
-            Ok(record) => key_of(root.level, &record),
-            Err(_) => None,
-        };
-        let mut missing: Vec<HeldKey> = match self.options.late {
-            Late::Wait => needed.keys().copied().chain(root_key).collect(),
-            Late::Drop => root_key.into_iter().collect(),
-        };
-        loop {
-            missing.retain(|key| !matches!(self.residency.state(key), State::Resident | State::Failed));
-            if missing.is_empty() {
-                break;
-            }
-            if self.residency.num_in_flight() == 0 && self.spans_asked.is_empty() {
-                // What does not fit beside the rest is stood in for.
-                break;
-            }
-            self.hear()?;
-        }
-        waited.ms += start.elapsed().as_secs_f64() * 1e3;
-        Ok(())
-    }
-
-    /// The list with the nearest ancestor that is in memory in place of what is not.
-    fn with_stand_ins(&mut self, mut items: Vec<DrawItem>, step: u32) -> (Vec<DrawItem>, usize) {
-        let tree = Arc::clone(self.session.tree());
-        let mut num_stand_ins = 0;
-        for item in items.iter_mut().filter(|item| item.how == How::Payload) {
-            if self.can_draw(&tree, item.node, item.steps.start) {
-                continue;
-            }
-            let mut node = item.node;
-            while node != tree.root() {
-                node = node.parent();
-                let Ok(record) = self.session.record(&tree, node, step) else { continue };
-                let how = match (record.kind, record.mask) {
-                    (SpanKind::Empty, _) => How::Skip,
-                    (SpanKind::Constant(value), None) => How::Constant(value),
-                    _ if self.can_draw(&tree, node, step) => How::Payload,
-                    _ => continue,
-                };
-                num_stand_ins += 1;
-                *item = DrawItem { node, region: item.region, steps: step..step + 1, how };
-                break;
-            }
-        }
-        (items, num_stand_ins)
-    }
-
-    fn can_draw(&mut self, tree: &Octree, node: NodeId, step: u32) -> bool {
-        let Ok(record) = self.session.record(tree, node, step) else { return false };
-        key_of(node.level, &record).is_none_or(|key| self.session.has(&key))
-    }
-}

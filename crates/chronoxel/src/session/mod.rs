@@ -15,15 +15,17 @@ use std::{collections::HashMap, path::Path, sync::Arc, time::Instant};
 
 use anyhow::{Context, bail};
 use chronoxel_core::{
-    ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer, SpanRecord,
-    TimeNode, TransferFunction, UniformGrid,
+    ByteImage, ByteLru, CacheCounts, Camera, Image, Lighting, NodeStatistics, Octree, ResolvedTransfer,
+    SpanRecord, TimeNode, TransferFunction, UniformGrid,
 };
-use chronoxel_render::{CpuOptions, Frame, GpuStats, PreparedBrick, RenderStats, Scene};
+use chronoxel_render::{
+    CpuOptions, Frame, GpuPicture, GpuStats, PreparedBrick, ReadBack, RenderStats, Scene,
+};
 use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::BrickKey;
-use gpu::OnGpu;
+use gpu::{GpuShot, OnGpu};
 pub(crate) use held::{Held, HeldKey, read_held};
 use images::Images;
 use select::Colors;
@@ -100,6 +102,14 @@ pub struct BrickCounts {
 }
 
 impl BrickCounts {
+    fn add(&mut self, other: &Self) {
+        self.skipped += other.skipped;
+        self.constant += other.constant;
+        self.composited += other.composited;
+        self.reused += other.reused;
+        self.new += other.new;
+    }
+
     /// Bricks that were drawn.
     pub fn drawn(&self) -> usize {
         self.constant + self.composited + self.reused + self.new
@@ -108,9 +118,9 @@ impl BrickCounts {
 
 /// A picture, and what it took.
 #[derive(Debug, Clone)]
-pub struct Picture {
+pub struct Picture<I = Image> {
     /// The volume over nothing.
-    pub image: Image,
+    pub image: I,
     /// Samples taken, transparent space left out.
     pub samples: u64,
     /// Bricks by what became of them.
@@ -276,11 +286,45 @@ impl Session {
         self.draw_moment(view, Moment::at(step))
     }
 
-    /// Draws a moment at a step or between two. Between steps nothing is kept in memory, and a damaged brick is an error.
+    /// Draws a moment at a step or between two. Between steps the CPU keeps nothing in memory, and a damaged brick is an
+    /// error.
     ///
     /// # Errors
     /// As [`Self::draw`].
     pub fn draw_moment(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture> {
+        let picture = self.draw_as(view, moment, ReadBack::Floats)?;
+        Ok(picture.map(|image| match image {
+            GpuPicture::Floats(image) => image,
+            _ => unreachable!("floats were asked for"),
+        }))
+    }
+
+    /// Draws a moment for a screen, in 8 bits: from a GPU, a quarter of the bytes come back.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_bytes(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture<ByteImage>> {
+        let picture = self.draw_as(view, moment, ReadBack::Bytes)?;
+        Ok(picture.map(|image| match image {
+            GpuPicture::Bytes(image) => image,
+            _ => unreachable!("bytes were asked for"),
+        }))
+    }
+
+    /// Draws a moment that nobody looks at: on a GPU the picture stays there.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_unseen(&mut self, view: &View, moment: Moment) -> anyhow::Result<Picture<()>> {
+        Ok(self.draw_as(view, moment, ReadBack::Nothing)?.map(|_| ()))
+    }
+
+    fn draw_as(
+        &mut self,
+        view: &View,
+        moment: Moment,
+        read_back: ReadBack,
+    ) -> anyhow::Result<Picture<GpuPicture>> {
         let num_steps = self.store.header().num_steps_finished as usize;
         let Moment { step, weight } = moment;
         let last = step + usize::from(weight > 0.0);
@@ -299,7 +343,7 @@ impl Session {
         let mut faults = Faults::default();
         let items = self.select(view, step as u32, weight, &mut faults, None)?;
         let select_ms = start.elapsed().as_secs_f64() * 1e3;
-        let picture = self.draw_selected(view, step as u32, weight, &items, faults)?;
+        let picture = self.draw_selected(view, (step as u32, weight), &items, read_back, faults)?;
         Ok(Picture { fetch_ms: picture.fetch_ms + select_ms, ..picture })
     }
 
@@ -307,16 +351,22 @@ impl Session {
     pub(crate) fn draw_selected(
         &mut self,
         view: &View,
-        step: u32,
-        weight: f64,
+        (step, weight): (u32, f64),
         items: &[DrawItem],
+        read_back: ReadBack,
         faults: Faults,
-    ) -> anyhow::Result<Picture> {
+    ) -> anyhow::Result<Picture<GpuPicture>> {
         let shares = Shares::of(items, step, &self.store.header().grid);
         let drawn = match self.on_gpu {
-            Some(_) if weight > 0.0 => bail!("--blend-steps is drawn by the CPU: use --backend cpu"),
-            Some(_) => self.draw_on_gpu(view, items, faults)?,
-            None => self.draw_on_cpu(view, step, weight, items, faults)?,
+            Some(_) => self.draw_on_gpu(GpuShot { view, items, step, weight, read_back }, faults)?,
+            None => {
+                let drawn = self.draw_on_cpu(view, step, weight, items, faults)?;
+                drawn.map(|image| match read_back {
+                    ReadBack::Floats => GpuPicture::Floats(image),
+                    ReadBack::Bytes => GpuPicture::Bytes(image.to_bytes()),
+                    ReadBack::Nothing => GpuPicture::Nothing,
+                })
+            }
         };
         let Drawn { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = drawn;
         let warnings = faults.warnings;
@@ -345,7 +395,8 @@ impl Session {
 
     /// Gives up keeping payloads, and most of keeping bricks: says how much a player may keep instead.
     pub(crate) fn lend_memory(&mut self) -> Lent {
-        let share = |part: f64| (self.memory_bytes as f64 * part) as usize;
+        let memory_bytes = self.memory_bytes as f64;
+        let share = |part: f64| (memory_bytes * part) as usize;
         let [bricks, portion, payloads] = match self.on_gpu {
             Some(_) => [0.0, 0.0, PLAYED_ON_GPU_SHARE],
             None => [PLAYED_BRICKS_SHARE, PLAYED_BRICKS_SHARE, PLAYED_SHARE],
@@ -353,6 +404,7 @@ impl Session {
         self.bricks = ByteLru::new(share(bricks));
         self.portion_bytes = share(portion);
         self.payloads = ByteLru::new(0);
+        self.keep_no_payloads_for_gpu();
         Lent { payload_bytes: share(payloads), spans_bytes: share(SPANS_SHARE) }
     }
 
@@ -385,15 +437,29 @@ impl Session {
     }
 }
 
+impl<I> Picture<I> {
+    fn map<J>(self, change: impl FnOnce(I) -> J) -> Picture<J> {
+        let Self { image, samples, bricks, shares, fetch_ms, render_ms, on_gpu, warnings } = self;
+        Picture { image: change(image), samples, bricks, shares, fetch_ms, render_ms, on_gpu, warnings }
+    }
+}
+
 /// A picture that was drawn, and what it took.
-struct Drawn {
-    image: Image,
+struct Drawn<I> {
+    image: I,
     bricks: BrickCounts,
     faults: Faults,
     samples: u64,
     fetch_ms: f64,
     render_ms: f64,
     on_gpu: Option<GpuStats>,
+}
+
+impl<I> Drawn<I> {
+    fn map<J>(self, change: impl FnOnce(I) -> J) -> Drawn<J> {
+        let Self { image, bricks, faults, samples, fetch_ms, render_ms, on_gpu } = self;
+        Drawn { image: change(image), bricks, faults, samples, fetch_ms, render_ms, on_gpu }
+    }
 }
 
 /// A picture being drawn.
@@ -412,7 +478,7 @@ impl Session {
         weight: f64,
         items: &[DrawItem],
         faults: Faults,
-    ) -> anyhow::Result<Drawn> {
+    ) -> anyhow::Result<Drawn<Image>> {
         let scene = self.scene(view);
         let mut drawing = Drawing {
             frame: Frame::new(&scene, CpuOptions::default())?,

@@ -20,6 +20,8 @@ struct Job {
 
 // Whether the pool holds 16-bit fractions in place of 16-bit floats.
 override IS_UNORM: bool;
+// Whether it is the later of two steps, which is mixed into what the earlier one decoded to.
+override IS_LATER: bool;
 
 @group(0) @binding(0) var<uniform> batch: Batch;
 @group(0) @binding(1) var<storage, read> bank: array<u32>;
@@ -27,6 +29,8 @@ override IS_UNORM: bool;
 @group(0) @binding(2) var<storage, read> payloads: array<u32>;
 @group(0) @binding(3) var<storage, read> jobs: array<Job>;
 @group(0) @binding(4) var<storage, read_write> texels: array<u32>;
+// For each slot that is between two steps, the first word of the later payload, and the bits of its weight.
+@group(0) @binding(5) var<storage, read> laters: array<vec2<u32>>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -37,7 +41,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let job = jobs[batch.first_job + id.y];
     let pair = id.x % batch.pairs;
     let row = id.x / batch.pairs;
-    let payload = payloads[job.slot];
+    var payload = payloads[job.slot];
+    if IS_LATER {
+        payload = laters[job.slot].x;
+    }
     let first = row * batch.full_edge + 2u * pair;
     var values = decode_units(payload, job.step, first);
     // The last sample of a row has none beside it.
@@ -46,7 +53,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let line = job.slot / batch.slots_along - batch.first_line;
     let column = (job.slot % batch.slots_along) * batch.pairs + pair;
-    texels[(line * rows + row) * batch.row_words + column] = texel_pair(values);
+    let at = (line * rows + row) * batch.row_words + column;
+    if IS_LATER {
+        values = mix(units_of(texels[at]), values, bitcast<f32>(laters[job.slot].y));
+    }
+    texels[at] = texel_pair(values);
 }
 
 // Floats have their sign as one more bit: they go from -1 to 1.
@@ -55,4 +66,11 @@ fn texel_pair(values: vec2<f32>) -> u32 {
         return pack2x16unorm(values);
     }
     return pack2x16float(values * 2.0 - 1.0);
+}
+
+fn units_of(pair: u32) -> vec2<f32> {
+    if IS_UNORM {
+        return unpack2x16unorm(pair);
+    }
+    return unpack2x16float(pair) * 0.5 + 0.5;
 }

@@ -51,9 +51,10 @@ struct Brick {
     // For decoding at each fetch: the first word of its payload in the bank, and the step in its span.
     payload: u32,
     step: u32,
-    padding_a: u32,
-    padding_b: u32,
-    padding_c: u32,
+    // The same of the later of two steps, or NO_LATER; and the weight of what it decodes to.
+    later: u32,
+    later_step: u32,
+    later_weight: f32,
 }
 
 struct Constant {
@@ -68,12 +69,15 @@ struct Constant {
 
 // Decode at each fetch, in place of sampling the pool.
 override FETCH: bool;
+// Decode both of two steps, where there are two.
+override BLEND: bool;
 // Interpolate colours, after the look-up.
 override INTERPOLATE_COLOR: bool;
 // The colours of a level.
 override NUM_COLORS: u32;
 
 const NO_MASK: u32 = 0xffffffffu;
+const NO_LATER: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> bricks: array<Brick>;
@@ -104,10 +108,20 @@ fn is_masked(brick: Brick, place: vec3<f32>) -> bool {
     return ((word >> (index & 31u)) & 1u) == 1u;
 }
 
+// A sample of a brick's payload, or between those of two. Without a loop: drivers in software count rounds of inner loops
+// up to a limit.
+fn decode_between(brick: Brick, sample: u32) -> f32 {
+    let value = decode_unit(brick.payload, brick.step, sample);
+    if BLEND && brick.later != NO_LATER {
+        return mix(value, decode_unit(brick.later, brick.later_step, sample), brick.later_weight);
+    }
+    return value;
+}
+
 // The value at a place that is a sample.
 fn fetch(brick: Brick, place: vec3<i32>) -> f32 {
     if FETCH {
-        return decode_unit(brick.payload, brick.step, sample_index(place));
+        return decode_between(brick, sample_index(place));
     }
     return textureLoad(pool, vec3<i32>(brick.texel) + place, 0).x;
 }
