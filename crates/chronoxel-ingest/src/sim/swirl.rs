@@ -339,9 +339,9 @@ mod tests {
 
     #[test]
     fn the_tile_is_askew_by_a_rotation() {
-        for a in 0..3 {
-            for b in 0..3 {
-                let product: f64 = (0..3).map(|i| ASKEW[a][i] * ASKEW[b][i]).sum();
+        for (a, row) in ASKEW.iter().enumerate() {
+            for (b, other) in ASKEW.iter().enumerate() {
+                let product: f64 = row.iter().zip(other).map(|(x, y)| x * y).sum();
                 assert!((product - f64::from(u8::from(a == b))).abs() < 1e-12);
             }
         }
