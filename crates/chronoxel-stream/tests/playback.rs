@@ -4,7 +4,8 @@ use std::collections::HashSet;
 
 use chronoxel_core::{BrickLayout, Camera, NodeId, Octree, UniformGrid, octree::levels_of};
 use chronoxel_stream::{
-    ActiveCut, CutLimits, NodeView, Pace, Playhead, Residency, State, Tier, ViewVolume, Want,
+    ActiveCut, CutLimits, Late, NodeView, Pace, Playback, Playhead, Residency, Shown, State, Tier,
+    ViewVolume, Want,
 };
 
 const EDGE: usize = 8;
@@ -13,6 +14,9 @@ const HEIGHT: usize = 512;
 const NUM_STEPS: u32 = 40;
 
 type Key = (u32, NodeId);
+
+const REST: Playhead =
+    Playhead { num_steps: NUM_STEPS, position: 0.0, steps_per_frame: 0.0, is_looping: true };
 
 struct Player {
     grid: UniformGrid,
@@ -24,7 +28,7 @@ struct Player {
     camera: Camera,
     /// The volume is transparent below this level of x, by the transfer function.
     transparent_below: f64,
-    head: Playhead,
+    playback: Playback,
     frame: u64,
     latency: u32,
     num_loaded: u64,
@@ -36,6 +40,7 @@ struct Frame {
     num_requests: usize,
     /// Nodes drawn from an ancestor.
     num_missing: usize,
+    shown: Shown,
     cost: f64,
 }
 
@@ -44,7 +49,8 @@ struct View<'a> {
     volume: ViewVolume,
     transparent_below: f64,
     residency: &'a Residency<Key>,
-    step: u32,
+    /// The step drawn, and the next one, so that no split is done that the next frame cannot show.
+    steps: Vec<u32>,
 }
 
 impl View<'_> {
@@ -77,8 +83,12 @@ impl NodeView for View<'_> {
     }
 
     fn is_resident(&mut self, node: NodeId) -> bool {
-        matches!(self.residency.state(&(self.step, node)), State::Resident | State::Failed)
+        self.steps.iter().all(|step| is_there(self.residency, (*step, node)))
     }
+}
+
+fn is_there(residency: &Residency<Key>, key: Key) -> bool {
+    matches!(residency.state(&key), State::Resident | State::Failed)
 }
 
 fn camera(grid: &UniformGrid, azimuth: f64, zoom: f64) -> Camera {
@@ -86,17 +96,17 @@ fn camera(grid: &UniformGrid, azimuth: f64, zoom: f64) -> Camera {
 }
 
 impl Player {
-    fn new(budget: usize) -> Self {
+    fn new(budget: usize, most_in_flight: usize) -> Self {
         let grid = UniformGrid::new([64; 3], [0.0; 3], [1.0; 3]).unwrap();
         let layout = BrickLayout::new(EDGE).unwrap();
         let tree = Octree::full(&levels_of(&grid, &layout));
         Self {
             cut: ActiveCut::new(&tree, &grid, &layout),
-            residency: Residency::new(budget, NUM_STEPS as usize * PAYLOAD, 100),
+            residency: Residency::new(budget, NUM_STEPS as usize * PAYLOAD, most_in_flight),
             loading: Vec::new(),
             camera: camera(&grid, 30.0, 1.0),
             transparent_below: 0.0,
-            head: Playhead { num_steps: NUM_STEPS, position: 0.0, steps_per_frame: 0.0, is_looping: true },
+            playback: Playback::new(REST, Late::Wait),
             frame: 0,
             latency: 2,
             num_loaded: 0,
@@ -108,26 +118,29 @@ impl Player {
     fn draw(&mut self, limits: &CutLimits, fails: impl Fn(Key) -> bool) -> Frame {
         self.frame += 1;
         self.answer(fails);
-        let step = self.head.step();
+        let steps: Vec<u32> = self.playback.coming(1).into_iter().map(|(step, _)| step).collect();
         let mut view = View {
             grid: &self.grid,
             volume: ViewVolume::of_camera(&self.camera, 1.0, &self.grid),
             transparent_below: self.transparent_below,
             residency: &self.residency,
-            step,
+            steps,
         };
         let change = self.cut.adapt(&self.tree, limits, &mut view);
         let drawn: Vec<NodeId> = self.cut.nodes().filter(|n| view.is_seen(*n)).collect();
-        let num_missing = drawn.iter().filter(|n| !view.is_resident(**n)).count();
+        let step = self.playback.step();
+        let num_missing = drawn.iter().filter(|n| !is_there(&self.residency, (step, **n))).count();
         self.check_cover();
         let mut wants = Vec::new();
         let mut want = |step, node, tier| wants.push(Want { key: (step, node), tier, num_bytes: PAYLOAD });
-        for (step, tier) in self.head.coming(6) {
+        for (step, tier) in self.playback.coming(6) {
             drawn.iter().for_each(|node| want(step, *node, tier));
             let children = self.cut.pending_nodes().flat_map(|n| (0..8).filter_map(move |o| n.child(o)));
             children.for_each(|node| want(step, node, tier));
         }
-        change.wanted.iter().for_each(|node| want(step, *node, Tier::Needed));
+        if self.playback.head().steps_per_frame == 0.0 {
+            change.wanted.iter().for_each(|node| want(step, *node, Tier::Needed));
+        }
         (0..NUM_STEPS).for_each(|step| want(step, self.tree.root(), Tier::Coarse));
         self.residency.set_wants(wants);
         let requests = self.residency.next_requests();
@@ -138,11 +151,10 @@ impl Player {
         }
         self.check_budget();
         assert_eq!(self.residency.num_in_flight(), self.loading.len());
-        if self.head.steps_per_frame != 0.0 {
-            self.head = self.head.next().unwrap();
-        }
+        let residency = &self.residency;
+        let shown = self.playback.advance(&mut |step| drawn.iter().all(|n| is_there(residency, (step, *n))));
         let is_settled = change.is_settled && self.loading.is_empty();
-        Frame { is_settled, num_requests: requests.len(), num_missing, cost: drawn.len() as f64 }
+        Frame { is_settled, num_requests: requests.len(), num_missing, shown, cost: drawn.len() as f64 }
     }
 
     fn answer(&mut self, fails: impl Fn(Key) -> bool) {
@@ -193,7 +205,7 @@ impl Player {
 
 #[test]
 fn a_still_picture_refines_fully_and_then_nothing_is_done() {
-    let mut player = Player::new(2000 * PAYLOAD);
+    let mut player = Player::new(2000 * PAYLOAD, 100);
     let limits = CutLimits { most_splits_per_frame: 20, ..CutLimits::default() };
     player.rest(&limits, 200);
     assert_eq!(player.cut.nodes().count(), 512);
@@ -207,7 +219,7 @@ fn a_still_picture_refines_fully_and_then_nothing_is_done() {
 
 #[test]
 fn a_still_picture_settles_within_tight_limits() {
-    let mut player = Player::new(300 * PAYLOAD);
+    let mut player = Player::new(300 * PAYLOAD, 100);
     let limits = CutLimits { bytes: 150 * PAYLOAD, most_splits_per_frame: 8, ..CutLimits::default() };
     for azimuth in [0.0, 70.0, 200.0] {
         player.camera = camera(&player.grid, azimuth, 3.0);
@@ -227,43 +239,65 @@ fn a_still_picture_settles_within_tight_limits() {
 fn a_series_larger_than_memory_plays_without_misses() {
     let limits = CutLimits { bytes: 80 * PAYLOAD, most_splits_per_frame: 8, ..CutLimits::default() };
     for steps_per_frame in [1.0, -1.0, 0.5, 8.0] {
-        let mut player = Player::new(650 * PAYLOAD);
-        player.head.steps_per_frame = steps_per_frame;
-        let mut missing = 0;
+        let mut player = Player::new(1100 * PAYLOAD, 400);
+        player.playback.set_head(Playhead { steps_per_frame, ..REST });
+        let (mut num_missing, mut num_late) = (0, 0);
         for frame in 0..150 {
             let drawn = player.draw(&limits, |_| false);
-            if frame < 60 {
-                eprintln!(
-                    "DBG {frame} nodes {} pending {} req {} missing {} loading {} held {} res {} settled {}",
-                    player.cut.nodes().count(),
-                    player.cut.pending_nodes().count(),
-                    drawn.num_requests,
-                    drawn.num_missing,
-                    player.loading.len(),
-                    player.residency.held_bytes(),
-                    player.residency.reserved_bytes(),
-                    drawn.is_settled
-                );
-            }
-            missing += if frame >= 50 { drawn.num_missing } else { 0 };
+            num_missing += drawn.num_missing;
+            num_late += usize::from(frame >= 30 && drawn.shown == Shown::Late);
         }
-        assert_eq!(missing, 0, "at {steps_per_frame}");
+        assert_eq!(num_late, 0, "at {steps_per_frame}");
+        assert!(num_missing <= 2, "{num_missing} at {steps_per_frame}: only the first frames have nothing");
         assert!(player.cut.nodes().count() > 70, "{}", player.cut.nodes().count());
+    }
+}
+
+/// Where the loads cannot keep up, steps come late or fewer of them, and each that is shown is whole.
+#[test]
+fn slow_loads_delay_or_drop_steps() {
+    let limits = CutLimits { bytes: 80 * PAYLOAD, most_splits_per_frame: 8, ..CutLimits::default() };
+    for late in [Late::Wait, Late::Drop] {
+        let mut player = Player::new(1100 * PAYLOAD, 60);
+        player.playback = Playback::new(Playhead { steps_per_frame: 1.0, ..REST }, late);
+        let (mut num_missing, mut num_shown) = (0, 0);
+        for frame in 0..400 {
+            let drawn = player.draw(&limits, |_| false);
+            if frame >= 100 {
+                num_missing += drawn.num_missing;
+                num_shown += usize::from(drawn.shown == Shown::Next);
+            }
+        }
+        assert_eq!(num_missing, 0, "{late:?}");
+        // Thirty loads a frame, for eighty payloads a step and those of splits that wait.
+        assert!((60..=150).contains(&num_shown), "{num_shown} {late:?}");
+        assert_eq!(
+            player.playback.num_dropped() > 100,
+            late == Late::Drop,
+            "{}",
+            player.playback.num_dropped()
+        );
     }
 }
 
 /// Everything at once: the camera jumps, the slider is dragged, the transfer function and the budget change, some payloads never load.
 #[test]
 fn nothing_breaks_whatever_happens() {
-    let mut player = Player::new(500 * PAYLOAD);
+    let mut player = Player::new(500 * PAYLOAD, 100);
     let mut limits = CutLimits { most_splits_per_frame: 10, ..CutLimits::default() };
     let broken = |(step, node): Key| node.morton % 11 == 5 || step == 13;
     for n in 0..400u32 {
         let hash = n.wrapping_mul(2_654_435_761) >> 8;
         match n % 7 {
             0 => player.camera = camera(&player.grid, f64::from(hash % 360), 1.0 + f64::from(hash % 5)),
-            2 => player.head.position = f64::from(hash % NUM_STEPS),
-            3 => player.head.steps_per_frame = f64::from(hash % 5) - 2.0,
+            2 => {
+                let position = f64::from(hash % NUM_STEPS);
+                player.playback.set_head(Playhead { position, ..player.playback.head() });
+            }
+            3 => {
+                let steps_per_frame = f64::from(hash % 5) - 2.0;
+                player.playback.set_head(Playhead { steps_per_frame, ..player.playback.head() });
+            }
             4 => player.transparent_below = f64::from(hash % 60),
             5 => limits.bytes = (20 + hash as usize % 300) * PAYLOAD,
             6 => {
@@ -276,7 +310,7 @@ fn nothing_breaks_whatever_happens() {
     }
     // Left alone, it comes to rest; what cannot be loaded is not asked for any more.
     player.residency.set_budget(1500 * PAYLOAD);
-    player.head.steps_per_frame = 0.0;
+    player.playback.set_head(REST);
     let rests = (0..300).any(|_| {
         let frame = player.draw(&limits, broken);
         frame.is_settled && frame.num_requests == 0
@@ -289,7 +323,7 @@ fn nothing_breaks_whatever_happens() {
 /// The cut follows the cost that a target for the time of a frame leaves it.
 #[test]
 fn a_target_is_held_by_the_cut() {
-    let mut player = Player::new(2000 * PAYLOAD);
+    let mut player = Player::new(2000 * PAYLOAD, 100);
     let mut pace = Pace::new(20.0);
     let mut times = Vec::new();
     for frame in 0..120 {
