@@ -165,6 +165,7 @@ fn sources_hold_what_they_say() {
             ("sim:plume?dims=40x48x36&steps=3".to_owned(), None, 0.9),
             ("sim:vortex?dims=64x48x40&steps=3".to_owned(), None, 0.8),
             ("sim:shockbubble?dims=80x32x32&steps=3".to_owned(), None, 0.9),
+            ("sim:swirl?dims=80x64x48&steps=3".to_owned(), None, 0.7),
         ] {
             check_held(&input, &mut *open(&input, memory), share);
         }

@@ -20,7 +20,7 @@ pub use metric::{
     StepStatistics,
 };
 pub use pace::Pace;
-pub use prefetch::{Playhead, scrubbing};
+pub use prefetch::{Late, Playback, Playhead, Shown, scrubbing};
 pub use residency::{Residency, ResidencyCounts, State, Tier, Want};
 pub use select::{Appearance, Coherence, DrawItem, How, Selector, Tolerances};
 pub use shares::Shares;

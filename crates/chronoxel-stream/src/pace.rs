@@ -138,7 +138,11 @@ impl Pace {
         if is_reached && (at_limit - self.target_ms).abs() <= DEAD_BAND * self.target_ms {
             return;
         }
-        let wanted = if slope > 0.0 { (self.target_ms - fixed) / slope } else { f64::MAX };
+        let mut wanted = if slope > 0.0 { (self.target_ms - fixed) / slope } else { f64::MAX };
+        // Without a second cost, how much is fixed is not known: while there is time to spare, the limit grows until something more is drawn.
+        if !self.has_slope && !is_reached && self.last().all(|s| s.ms < 0.8 * self.target_ms) {
+            wanted = wanted.max(1.5 * self.limit);
+        }
         let most = if is_reached { MOST_GROWTH } else { MOST_HEADROOM };
         // What was drawn at first tells nothing of costs: any cost may be tried.
         let basis = if drawn > 0.0 { drawn } else { 1.0 };

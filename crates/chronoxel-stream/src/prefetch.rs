@@ -56,6 +56,130 @@ impl Playhead {
     }
 }
 
+/// What to do when a step is due and its payloads are not there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Late {
+    /// Keep the speed, and show fewer of the steps.
+    Drop,
+    /// Keep the steps, and show them later.
+    Wait,
+}
+
+/// What a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Shown {
+    /// The same step as the frame before, as it should.
+    Same,
+    /// The same step, because the next one is not there yet.
+    Late,
+    /// Another step.
+    Next,
+    /// The same step: playback has ended.
+    End,
+}
+
+/// A step shown so many times in a row without delay before more of them are tried again.
+const PUNCTUAL: u32 = 16;
+
+/// Playback of a series that may arrive more slowly than it is played.
+///
+/// Loads that are begun for a step and given up when its time has passed help nobody, so the step announced next stays the next until it is
+/// there. Where steps are dropped, the one after it lies as much further on as the wait was long, and so on at that distance: the speed stays, and only steps that will be
+/// shown are asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Playback {
+    head: Playhead,
+    late: Late,
+    /// Frames that a position of the head stands for.
+    frames_per_move: u32,
+    /// Frames since the last move.
+    num_frames: u32,
+    num_punctual: u32,
+    num_dropped: u64,
+    num_late: u64,
+}
+
+impl Playback {
+    /// Playback from a position on.
+    pub fn new(head: Playhead, late: Late) -> Self {
+        Self { head, late, frames_per_move: 1, num_frames: 0, num_punctual: 0, num_dropped: 0, num_late: 0 }
+    }
+
+    /// The step that is shown.
+    pub fn step(&self) -> u32 {
+        self.head.step()
+    }
+
+    /// The position that is shown, with the speed asked for.
+    pub fn head(&self) -> Playhead {
+        self.head
+    }
+
+    /// Jumps, or changes the speed.
+    pub fn set_head(&mut self, head: Playhead) {
+        *self = Self { num_dropped: self.num_dropped, num_late: self.num_late, ..Self::new(head, self.late) };
+    }
+
+    /// The step shown and those that will be shown next: see [`Playhead::coming`].
+    pub fn coming(&self, most: u32) -> Vec<(u32, Tier)> {
+        self.ahead().coming(most)
+    }
+
+    /// The head, moving by all that it moves by at a time.
+    fn ahead(&self) -> Playhead {
+        let steps_per_frame = self.head.steps_per_frame * f64::from(self.frames_per_move);
+        Playhead { steps_per_frame, ..self.head }
+    }
+
+    /// A frame goes by.
+    ///
+    /// * `is_ready`: whether a step can be shown, asked of the next one alone
+    pub fn advance(&mut self, is_ready: &mut dyn FnMut(u32) -> bool) -> Shown {
+        self.num_frames += 1;
+        if self.num_frames < self.frames_per_move {
+            return Shown::Same;
+        }
+        let Some(next) = self.ahead().next() else { return Shown::End };
+        if next.step() != self.step() && !is_ready(next.step()) {
+            self.num_late += 1;
+            return Shown::Late;
+        }
+        let is_new = next.step() != self.step();
+        if is_new && self.late == Late::Drop {
+            let passed = self.head.steps_per_frame.abs().min(1.0) * f64::from(self.frames_per_move);
+            self.num_dropped += (passed as u64).saturating_sub(1);
+            self.keep_speed();
+        }
+        self.head.position = next.position;
+        self.num_frames = 0;
+        if is_new { Shown::Next } else { Shown::Same }
+    }
+
+    /// Lets the distance of steps follow how long they take to arrive.
+    fn keep_speed(&mut self) {
+        if self.num_frames > self.frames_per_move {
+            self.frames_per_move = self.num_frames;
+            self.num_punctual = 0;
+            return;
+        }
+        self.num_punctual += 1;
+        if self.num_punctual == PUNCTUAL {
+            self.frames_per_move = (self.frames_per_move - 1).max(1);
+            self.num_punctual = 0;
+        }
+    }
+
+    /// Steps that were passed over because there was no time to load them.
+    pub fn num_dropped(&self) -> u64 {
+        self.num_dropped
+    }
+
+    /// Frames that showed a step for longer because the next one was not there.
+    pub fn num_late(&self) -> u64 {
+        self.num_late
+    }
+}
+
 /// The steps around one that somebody drags a slider to: it first, then its neighbours, two on the side that the drag moves to for each on the other.
 ///
 /// * `direction`: sign of the last movement; at 0 both sides are alike
@@ -155,5 +279,64 @@ mod tests {
         let mut all = numbered(scrubbing(9, 2, -1, 50));
         all.sort();
         assert_eq!(all, (0..9).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn waiting_shows_every_step_and_says_how_late_it_is() {
+        let mut playback = Playback::new(head(10, 0.0, 1.0, false), Late::Wait);
+        let mut shown = vec![0];
+        for frame in 0.. {
+            // A step takes three frames to arrive.
+            match playback.advance(&mut |_| frame % 3 == 2) {
+                Shown::Next => shown.push(playback.step()),
+                Shown::End => break,
+                Shown::Late => assert!(frame % 3 != 2),
+                Shown::Same => panic!("each frame is due to show another step"),
+            }
+        }
+        assert_eq!(shown, (0..10).collect::<Vec<_>>());
+        assert_eq!((playback.num_late(), playback.num_dropped()), (18, 0));
+    }
+
+    #[test]
+    fn dropping_keeps_the_speed() {
+        for (steps_per_frame, frames_to_load) in [(1.0, 4), (-1.0, 3), (8.0, 2), (0.5, 5)] {
+            let mut playback = Playback::new(head(1_000_000, 500_000.0, steps_per_frame, false), Late::Drop);
+            let (mut loading, mut left, mut num_shown) = (None, frames_to_load, 0);
+            for _ in 0..600 {
+                // Nothing but the announced step is loaded.
+                let next = playback.coming(1)[1].0;
+                left = if loading == Some(next) { left - 1 } else { frames_to_load - 1 };
+                loading = Some(next);
+                num_shown +=
+                    u64::from(playback.advance(&mut |step| step == next && left <= 0) == Shown::Next);
+            }
+            let distance = (playback.head().position - 500_000.0) / steps_per_frame;
+            assert!((550.0..=600.0).contains(&distance), "{distance} frames' worth at {steps_per_frame}");
+            assert!(
+                (600 / frames_to_load as u64 - 30..=600 / 2).contains(&num_shown),
+                "{num_shown} at {steps_per_frame}"
+            );
+            assert!(playback.num_dropped() > 0 || steps_per_frame.abs() < 1.0);
+        }
+    }
+
+    #[test]
+    fn what_was_dropped_comes_back_when_loads_are_fast_again() {
+        let mut playback = Playback::new(head(100_000, 0.0, 1.0, true), Late::Drop);
+        for frame in 0..100 {
+            playback.advance(&mut |_| frame % 5 == 0);
+        }
+        assert!(playback.coming(1)[1].0 >= playback.step() + 5);
+        let mut last = playback.step();
+        for _ in 0..400 {
+            last = playback.step();
+            playback.advance(&mut |_| true);
+        }
+        assert_eq!(playback.step(), last + 1);
+        let dropped = playback.num_dropped();
+        playback.set_head(head(100_000, 7.0, -1.0, true));
+        playback.advance(&mut |_| true);
+        assert_eq!((playback.step(), playback.num_dropped()), (6, dropped));
     }
 }

@@ -5,9 +5,10 @@
 //! | `plume` | advection, diffusion and settling of a discharge in a tidal current | `concentration` |
 //! | `vortex` | incompressible turbulence that decays in a periodic box | `vorticity_magnitude` |
 //! | `shockbubble` | compressible gas: a shock runs over a light bubble | `density` |
+//! | `swirl` | nothing: a moving pattern for tests of playback only | `playback_test_pattern` |
 //!
-//! All know `dims` (`128` or `160x64x64`) and `steps`. A run covers the same stretch of physical time whatever
-//! `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
+//! All know `dims` (`128` or `160x64x64`) and `steps`. A run of a solver covers the same stretch of physical
+//! time whatever `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
 //! the last opened step, and going back starts over.
 //!
 //! The numbers are the same on every machine and for any number of threads: work is divided into independent
@@ -19,6 +20,7 @@ pub mod navier_stokes;
 mod plume;
 mod shockbubble;
 mod spec;
+mod swirl;
 pub mod transport;
 mod vortex;
 
@@ -27,7 +29,7 @@ use chronoxel_core::{SampleType, Samples, TimeAxis, UniformGrid};
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume, vortex, shockbubble";
+const NAMES: &str = "plume, vortex, shockbubble, and swirl for tests of playback";
 
 /// Opens a built-in simulation as a source; nothing is computed yet.
 ///
@@ -39,6 +41,7 @@ pub fn open(spec: &str) -> Result<Box<dyn TimeSeries>, SourceError> {
         "plume" => plume::open(&spec)?,
         "vortex" => vortex::open(&spec)?,
         "shockbubble" => shockbubble::open(&spec)?,
+        "swirl" => swirl::open(&spec)?,
         _ => {
             return Err(invalid(
                 "simulation",

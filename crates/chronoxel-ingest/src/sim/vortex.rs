@@ -113,11 +113,11 @@ fn half_of_the_waves() -> impl Iterator<Item = [i32; 3]> {
 }
 
 /// Steele, Lea and Flood's generator (2014).
-struct SplitMix64(u64);
+pub(super) struct SplitMix64(pub u64);
 
 impl SplitMix64 {
     /// Uniform in [-1, 1).
-    fn symmetric(&mut self) -> f64 {
+    pub fn symmetric(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
