@@ -133,6 +133,13 @@ impl Pace {
     fn set_limit(&mut self) {
         let Some([fixed, slope]) = self.model else { return };
         let drawn = median(self.last().map(|s| s.cost).collect());
+        if drawn == 0.0 {
+            // Nothing to learn from, nor to lose, until a cost is allowed at which something is drawn.
+            if self.last().all(|s| s.ms < self.target_ms) {
+                self.limit = self.limit.max(1.0) * MOST_HEADROOM;
+            }
+            return;
+        }
         let at_limit = fixed + slope * self.limit;
         let is_reached = drawn >= 0.8 * self.limit;
         if is_reached && (at_limit - self.target_ms).abs() <= DEAD_BAND * self.target_ms {
@@ -144,9 +151,7 @@ impl Pace {
             wanted = wanted.max(1.5 * self.limit);
         }
         let most = if is_reached { MOST_GROWTH } else { MOST_HEADROOM };
-        // What was drawn at first tells nothing of costs: any cost may be tried.
-        let basis = if drawn > 0.0 { drawn } else { 1.0 };
-        self.limit = wanted.clamp(basis / MOST_GROWTH, basis * most);
+        self.limit = wanted.clamp(drawn / MOST_GROWTH, drawn * most);
     }
 }
 

@@ -96,7 +96,8 @@ struct FrameTime {
     wait_ms: f64,
     hits: u64,
     misses: u64,
-    num_dropped: usize,
+    num_dropped: u64,
+    is_late: bool,
     num_stand_ins: usize,
     num_drawn: usize,
     pixels_per_voxel: f64,
@@ -138,7 +139,9 @@ struct PlayReport {
     /// Time that frames waited for data.
     wait_ms: Times,
     /// Steps left out because they were late, and boxes drawn coarser because their own data was.
-    dropped_steps: usize,
+    dropped_steps: u64,
+    /// Frames that showed a step again because the next one was not there.
+    late_frames: usize,
     stand_ins: usize,
     /// Nodes drawn from samples, per frame.
     nodes_per_frame: f64,
@@ -226,13 +229,11 @@ impl PlayArgs {
         let mut frames = Vec::with_capacity(num_frames);
         let bar =
             Progress::new("play", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
-        let mut place = 0;
-        while place < num_frames {
-            let view = cameras.view(&view, place, num_frames)?;
-            let (time, shown) = self.timed_frame(&mut player, &view, &mut warnings)?;
-            frames.push(FrameTime { step: steps[shown % steps.len()] as u32, ..time });
-            bar.advance((shown + 1 - place) as u64);
-            place = shown + 1;
+        for frame in 0..num_frames {
+            let view = cameras.view(&view, frame, num_frames)?;
+            let (time, place) = self.timed_frame(&mut player, &view, &mut warnings)?;
+            frames.push(FrameTime { step: steps[place % steps.len()] as u32, ..time });
+            bar.advance(1);
         }
         bar.finish();
         warnings.iter().for_each(|warning| output::warning(warning));
@@ -303,6 +304,7 @@ impl PlayArgs {
             hits: played.hits,
             misses: played.misses,
             num_dropped: played.num_dropped,
+            is_late: played.is_late,
             num_stand_ins: played.num_stand_ins,
             num_drawn: played.num_drawn,
             pixels_per_voxel: played.pixels_per_voxel,
@@ -325,12 +327,12 @@ fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()
     writeln!(
         file,
         "frame,step,frame_ms,step_ms,render_ms,cpu_ms,samples,new_bricks,composited_bricks,bytes_uploaded,decode_ms,\
-         wait_ms,hits,misses,dropped_steps,stand_ins,nodes,pixels_per_voxel"
+         wait_ms,hits,misses,dropped_steps,is_late,stand_ins,nodes,pixels_per_voxel"
     )?;
     for (number, f) in frames.iter().enumerate() {
         writeln!(
             file,
-            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3},{:.3},{},{},{},{},{},{:.4}",
+            "{number},{},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3},{:.3},{},{},{},{},{},{},{:.4}",
             f.step,
             f.frame_ms,
             f.fetch_ms,
@@ -345,6 +347,7 @@ fn write_csv(path: &std::path::Path, frames: &[FrameTime]) -> std::io::Result<()
             f.hits,
             f.misses,
             f.num_dropped,
+            u8::from(f.is_late),
             f.num_stand_ins,
             f.num_drawn,
             f.pixels_per_voxel
@@ -399,7 +402,8 @@ impl PlayReport {
                 misses: frames.iter().map(|f| f.misses).sum(),
             },
             wait_ms: Times::of(frames, |f| f.wait_ms),
-            dropped_steps: frames.iter().map(|f| f.num_dropped).sum(),
+            dropped_steps: frames.last().map_or(0, |f| f.num_dropped),
+            late_frames: frames.iter().filter(|f| f.is_late).count(),
             stand_ins: frames.iter().map(|f| f.num_stand_ins).sum(),
             nodes_per_frame: sum(|f| f.num_drawn as f64) / frames.len() as f64,
             payload_bytes_peak: 0,
@@ -459,9 +463,11 @@ impl PlayReport {
     }
 
     fn late_text(&self) -> String {
-        match (self.dropped_steps, self.stand_ins) {
-            (0, 0) => String::new(),
-            (steps, boxes) => format!("; late: {steps} steps left out, {boxes} boxes drawn coarser"),
+        match (self.dropped_steps, self.late_frames, self.stand_ins) {
+            (0, 0, 0) => String::new(),
+            (steps, frames, boxes) => format!(
+                "; late: {steps} steps left out, {frames} frames showed a step again, {boxes} boxes drawn coarser"
+            ),
         }
     }
 }

@@ -21,21 +21,16 @@ use std::{
 use anyhow::bail;
 use chronoxel_core::{NodeId, SpanRecord};
 use chronoxel_render::{GpuPicture, ReadBack};
-use chronoxel_stream::{ActiveCut, CutLimits, DrawItem, How, NodeView, Pace, Residency, State, ViewVolume};
+use chronoxel_stream::{
+    ActiveCut, CutLimits, DrawItem, How, NodeView, Pace, Playback, Playhead, Residency, Shown, State,
+    ViewVolume,
+};
 
 use crate::session::{Faults, HeldKey, Picture, Session, Spans, View};
+pub use chronoxel_stream::Late;
 use loader::Loader;
 use nodes::{ColorErrors, FrameNodes, StepSpans, key_of};
 pub use path::CameraPath;
-
-/// What to do about a step whose data is not there in time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Late {
-    /// Leave it out, and go on with one that is there.
-    Drop,
-    /// Wait for it: every step is shown.
-    Wait,
-}
 
 /// How to play.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,8 +69,10 @@ pub struct Played {
     pub picture: Option<Picture<GpuPicture>>,
     /// Its place in the order of play.
     pub place: usize,
-    /// Steps left out between the frame before and this one.
-    pub num_dropped: usize,
+    /// Steps left out since playing began, because there was no time to load them.
+    pub num_dropped: u64,
+    /// Whether the step of the frame before is shown again, because the next one is not there.
+    pub is_late: bool,
     /// Time that drawing waited for data.
     pub wait_ms: f64,
     /// Payloads that it needed and that were in memory when it began.
@@ -133,12 +130,11 @@ pub struct Player {
     errors: Option<ColorErrors>,
     before: Option<(View, u32, bool)>,
     place: Option<usize>,
+    playback: Playback,
     warnings: Vec<String>,
     /// Bytes of payloads sent to the GPU for the last frame, under a limit; and of all else.
     payload_upload: u64,
     upload_overhead: u64,
-    started: Instant,
-    num_frames: u64,
 }
 
 impl Player {
@@ -155,6 +151,8 @@ impl Player {
             "step {last} is not in the store: its steps are 0 to {}",
             num_steps - 1
         );
+        let num_steps = order.len() as u32;
+        let head = Playhead { num_steps, position: 0.0, steps_per_frame: 1.0, is_looping: true };
         let budgets = session.lend_memory();
         let tree = store.tree();
         let num_nodes: usize = (0..tree.num_levels()).map(|level| tree.nodes(level as u8).len()).sum();
@@ -178,11 +176,10 @@ impl Player {
             errors: None,
             before: None,
             place: None,
+            playback: Playback::new(head, options.late),
             warnings: Vec::new(),
             payload_upload: 0,
             upload_overhead: 0,
-            started: Instant::now(),
-            num_frames: 0,
         })
     }
 
@@ -199,7 +196,7 @@ impl Player {
     /// Goes back to before the first frame; what is in memory stays.
     pub fn rewind(&mut self) {
         self.place = None;
-        self.num_frames = 0;
+        self.playback.set_head(Playhead { position: 0.0, ..self.playback.head() });
     }
 
     /// Plays the next frame.
@@ -207,16 +204,18 @@ impl Player {
     /// # Errors
     /// If the view cannot be drawn, or damage leaves nothing to draw from.
     pub fn next(&mut self, view: &View) -> anyhow::Result<Played> {
-        let next = self.place.map_or(0, |place| place + 1);
-        self.num_frames += 1;
-        if self.num_frames == 1 {
-            self.started = Instant::now();
+        let Some(place) = self.place else { return self.frame(view, 0) };
+        match self.options.late {
+            Late::Wait => self.frame(view, place + 1),
+            Late::Drop => {
+                self.listen();
+                let mut playback = self.playback;
+                let shown = playback.advance(&mut |place| self.is_ready(view, place as usize));
+                self.playback = playback;
+                let played = self.frame(view, playback.step() as usize)?;
+                Ok(Played { is_late: shown == Shown::Late, ..played })
+            }
         }
-        let place = match self.options.late {
-            Late::Wait => next,
-            Late::Drop => self.place_in_time(view, next)?,
-        };
-        self.frame(view, place)
     }
 
     /// Plays the frame at a place in the order of play, which goes on from there: for dragging a time slider, or standing still.
@@ -224,9 +223,12 @@ impl Player {
     /// # Errors
     /// As [`Self::next`].
     pub fn frame(&mut self, view: &View, place: usize) -> anyhow::Result<Played> {
-        let next = self.place.map_or(place, |before| before + 1);
-        let num_dropped = place.saturating_sub(next);
         let step = self.step_at(place);
+        let num_dropped = self.playback.num_dropped();
+        if self.playback.step() as usize != place % self.order.len() {
+            self.playback
+                .set_head(Playhead { position: (place % self.order.len()) as f64, ..self.playback.head() });
+        }
         self.place = Some(place);
         self.listen();
         let mut waited = Waited::default();
@@ -265,6 +267,7 @@ impl Player {
             picture: Some(picture),
             place,
             num_dropped,
+            is_late: false,
             wait_ms: waited.ms,
             hits,
             misses,
@@ -280,18 +283,15 @@ impl Player {
         self.order[place % self.order.len()]
     }
 
-    /// The place to show now: by the clock where frames have one, else the next that is there.
-    fn place_in_time(&mut self, view: &View, next: usize) -> anyhow::Result<usize> {
-        if let Some(fps) = self.options.target_fps {
-            let due = (self.started.elapsed().as_secs_f64() * fps) as usize;
-            return Ok(next.max(due));
+    /// Places whose steps will be shown next, nearest first.
+    fn coming(&self, place: usize) -> Vec<usize> {
+        match self.options.late {
+            Late::Wait => (1..=self.num_ahead).map(|distance| place + distance).collect(),
+            Late::Drop => {
+                let coming = self.playback.coming(self.num_ahead as u32);
+                coming.into_iter().skip(1).map(|(place, _)| place as usize).collect()
+            }
         }
-        if next == 0 {
-            return Ok(0);
-        }
-        self.listen();
-        let ready = (next..next + self.num_ahead).find(|place| self.is_ready(view, *place));
-        Ok(ready.unwrap_or(next))
     }
 
     /// Whether everything that a frame needs is in memory.
@@ -330,6 +330,7 @@ impl Played {
             picture: None,
             place: 0,
             num_dropped: 0,
+            is_late: false,
             wait_ms: 0.0,
             hits: 0,
             misses: 0,

@@ -21,7 +21,8 @@ impl Player {
 
     /// Spans of the step to draw, waiting for them; those of the steps after it are asked for.
     pub(super) fn spans_of(&mut self, place: usize, waited: &mut Waited) -> anyhow::Result<StepSpans> {
-        let ahead: Vec<u32> = (0..=self.num_ahead).map(|d| self.step_at(place + d)).collect();
+        let places = std::iter::once(place).chain(self.coming(place));
+        let ahead: Vec<u32> = places.map(|place| self.step_at(place)).collect();
         let top = self.num_levels() - 1;
         self.spans.retain(|(step, level), _| *level == top || ahead.contains(step));
         for (distance, step) in ahead.iter().enumerate() {

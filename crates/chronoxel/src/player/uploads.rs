@@ -77,8 +77,8 @@ impl Player {
     fn upload_ahead(&mut self, place: usize, mut left: u64) -> anyhow::Result<u64> {
         let mut total = 0;
         let nodes: Vec<NodeId> = self.cut.nodes().collect();
-        for distance in 1..=self.num_ahead {
-            let step = self.step_at(place + distance);
+        for place in self.coming(place) {
+            let step = self.step_at(place);
             if self.spans_in_memory(step).is_none() {
                 break;
             }

@@ -70,8 +70,8 @@ impl Player {
             self.cut.nodes().filter(|node| volume.may_see(box_of(*node, header))).collect();
         // The span of each that was wanted last.
         let mut last: Vec<Option<SpanRecord>> = vec![None; on_cut.len()];
-        for distance in 1..=self.num_ahead {
-            let step = self.step_at(place + distance);
+        for (number, place) in self.coming(place).into_iter().enumerate() {
+            let step = self.step_at(place);
             let Some(spans) = self.spans_in_memory(step) else { continue };
             let record_of = |node: NodeId| spans[usize::from(node.level)].as_ref()?.get(tree.rank(node)?);
             for (node, last) in on_cut.iter().zip(&mut last) {
@@ -82,7 +82,7 @@ impl Player {
                 *last = Some(*record);
                 let is_seen = !view.transfer.is_transparent_over(record.drawn_range);
                 if let Some(key) = key_of(node.level, record).filter(|_| is_seen) {
-                    wants.add(key, record, Tier::Coming(distance as u32));
+                    wants.add(key, record, Tier::Coming(number as u32 + 1));
                 }
             }
             if wants.is_full() {
