@@ -5,7 +5,7 @@ use std::{
     sync::Arc,
 };
 
-use chronoxel_core::{NodeId, Octree, SpanRecord};
+use chronoxel_core::{NodeId, SpanRecord};
 use chronoxel_store::{Header, Store};
 use chronoxel_stream::{Tier, Want};
 
@@ -45,7 +45,7 @@ impl Player {
                 wants.add(key, record, Tier::Coming(0));
             }
         }
-        self.want_ahead(view, place, &tree, &mut wants);
+        self.want_ahead(view, place, of_splits, &mut wants);
         for place in 0..self.order.len() {
             let Some(of_root) = self.spans.get(&(self.order[place], tree.root().level)) else { continue };
             if let Some(key) = key_of(tree.root().level, &of_root[0]) {
@@ -63,11 +63,13 @@ impl Player {
     }
 
     /// What the nodes on the cut will need at the next steps, nearest first, as far as it fits.
-    fn want_ahead(&self, view: &View, place: usize, tree: &Octree, wants: &mut Wants<'_>) {
+    fn want_ahead(&self, view: &View, place: usize, of_splits: &[NodeId], wants: &mut Wants<'_>) {
+        let tree = self.session.tree();
         let volume = self.session.view_volume(view);
         let header = self.session.store().header();
-        let on_cut: Vec<NodeId> =
-            self.cut.nodes().filter(|node| volume.may_see(box_of(*node, header))).collect();
+        // A split that waits is done at a later step, when its children are there.
+        let nodes = self.cut.nodes().chain(of_splits.iter().copied());
+        let on_cut: Vec<NodeId> = nodes.filter(|node| volume.may_see(box_of(*node, header))).collect();
         // The span of each that was wanted last.
         let mut last: Vec<Option<SpanRecord>> = vec![None; on_cut.len()];
         for (number, place) in self.coming(place).into_iter().enumerate() {

@@ -67,7 +67,7 @@ fn late_data_is_told() {
             .ends_with("wait_ms,hits,misses,dropped_steps,is_late,stand_ins,nodes,pixels_per_voxel")
     );
     assert_eq!(csv.lines().count(), 25);
-    let drops = play("--late drop --target-fps 60");
+    let drops = play("--late drop");
     assert_eq!(number(&drops, "frames"), 24.0);
     assert!(number(&drops, "late_frames") > 2.0, "{drops}");
 }
