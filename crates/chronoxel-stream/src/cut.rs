@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use chronoxel_core::{BrickLayout, NodeId, Octree, UniformGrid};
 
 mod frame;
+mod node_map;
 
 use frame::Frame;
 
