@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use chronoxel_core::{BrickLayout, NodeId, Octree, UniformGrid};
 
 mod frame;
+mod node_map;
 
 use frame::Frame;
 
@@ -36,13 +37,15 @@ pub trait NodeView {
     /// it is outside the picture, transparent, or accepted as it is.
     fn error(&mut self, node: NodeId) -> f64;
 
-    /// What it costs to draw; 0 where nothing is drawn.
+    /// What it costs to draw; 0 where nothing is drawn, or an ancestor is drawn as a whole in its place.
     fn cost(&mut self, node: NodeId) -> f64;
 
     /// Bytes of the payload that drawing it takes; 0 where it needs none.
     fn num_bytes(&mut self, node: NodeId) -> usize;
 
     /// Whether it can be drawn at once: its payload is in memory, or it needs none, or it can never be loaded.
+    ///
+    /// While time goes on, this is best asked of the step drawn and of the next one together, so that no split is done that the next frame cannot show.
     fn is_resident(&mut self, node: NodeId) -> bool;
 }
 
@@ -53,7 +56,7 @@ pub struct CutChange {
     pub splits: Vec<NodeId>,
     /// Nodes that took the place of theirs.
     pub merges: Vec<NodeId>,
-    /// Nodes to load so that pending splits and merges can be done, most urgent first.
+    /// Nodes to load so that pending splits and merges can be done in this step, most urgent first.
     pub wanted: Vec<NodeId>,
     /// Whether nothing changed and nothing is pending: the same view and limits change nothing again.
     pub is_settled: bool,
@@ -136,7 +139,8 @@ impl ActiveCut {
         self.partial.keys().copied()
     }
 
-    /// Nodes whose split waits for their children: while time goes on, those are worth loading for the coming steps as well.
+    /// Nodes whose split waits for their children: while time goes on, those are to be loaded for the coming steps, because what arrives for the step drawn
+    /// arrives too late.
     pub fn pending_nodes(&self) -> impl Iterator<Item = NodeId> + '_ {
         self.pending.iter().copied()
     }

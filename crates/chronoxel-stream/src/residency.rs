@@ -2,6 +2,23 @@
 //!
 //! The shell (whoever owns files and threads) says each frame what it wants, begins the loads that [`Residency::next_requests`] names, reports
 //! how each ended, and drops what [`Residency::take_evicted`] names. Nothing here reads, waits or looks at a clock.
+//!
+//! ```
+//! use chronoxel_stream::{Residency, State, Tier, Want};
+//!
+//! let mut residency = Residency::new(100, 0, 8);
+//! let want = |key, tier| Want { key, tier, num_bytes: 60 };
+//! residency.set_wants(vec![want("step 3", Tier::Coming(1)), want("step 2", Tier::Needed)]);
+//! assert_eq!(residency.next_requests(), ["step 2"]); // both do not fit
+//! assert!(residency.loaded("step 2", 40));
+//! assert_eq!(residency.next_requests(), ["step 3"]);
+//! assert_eq!((residency.held_bytes(), residency.reserved_bytes()), (40, 60));
+//!
+//! residency.set_wants(vec![want("step 4", Tier::Needed)]);
+//! assert_eq!(residency.take_withdrawn(), ["step 3"]);
+//! residency.cancelled("step 3");
+//! assert_eq!((residency.next_requests(), residency.state(&"step 2")), (vec!["step 4"], State::Resident));
+//! ```
 
 use std::{
     cmp::Reverse,

@@ -2,12 +2,12 @@
 
 use std::{
     cmp::Reverse,
-    collections::{BinaryHeap, HashMap, HashSet, VecDeque},
+    collections::{BinaryHeap, HashSet, VecDeque},
 };
 
 use chronoxel_core::{NodeId, Octree};
 
-use super::{ActiveCut, CutChange, CutLimits, NodeView};
+use super::{ActiveCut, CutChange, CutLimits, NodeView, node_map::NodeMap};
 
 /// How much larger the error of a split must be than those of the merges that it is exchanged for: what is nearly equal would change places for ever
 /// while the view moves a little.
@@ -65,7 +65,7 @@ pub(super) struct Frame<'a> {
     tree: &'a Octree,
     limits: &'a CutLimits,
     view: &'a mut dyn NodeView,
-    facts: HashMap<NodeId, Facts>,
+    facts: NodeMap<Facts>,
     /// What the cut takes, with the room kept for what is pending.
     used: Amount,
     split_queue: BinaryHeap<(Ordered, NodeId)>,
@@ -74,7 +74,7 @@ pub(super) struct Frame<'a> {
     /// Candidates for merging that free no cost, set aside while cost is what is short.
     idle_merges: Vec<NodeId>,
     /// Children of a split node that are on the cut.
-    num_on_cut: HashMap<NodeId, u8>,
+    num_on_cut: NodeMap<u8>,
     pending: Vec<NodeId>,
     /// Merges that wait for payloads.
     wanted_last: Vec<NodeId>,
@@ -88,17 +88,18 @@ impl<'a> Frame<'a> {
         limits: &'a CutLimits,
         view: &'a mut dyn NodeView,
     ) -> Self {
+        let num_nodes = cut.nodes.len();
         Self {
             cut,
             tree,
             limits,
             view,
-            facts: HashMap::new(),
+            facts: NodeMap::with_capacity_and_hasher(num_nodes + num_nodes / 4, Default::default()),
             used: Amount::default(),
             split_queue: BinaryHeap::new(),
             merge_queue: BinaryHeap::new(),
             idle_merges: Vec::new(),
-            num_on_cut: HashMap::new(),
+            num_on_cut: NodeMap::with_capacity_and_hasher(num_nodes / 4, Default::default()),
             pending: Vec::new(),
             wanted_last: Vec::new(),
             change: CutChange::default(),
@@ -108,8 +109,7 @@ impl<'a> Frame<'a> {
     pub(super) fn adapt(mut self) -> CutChange {
         self.count_children();
         self.merge_too_fine();
-        self.add_up();
-        self.fill_queues();
+        self.survey();
         self.merge_into_limits();
         self.merge_for_nothing();
         self.split();
@@ -169,9 +169,19 @@ impl<'a> Frame<'a> {
 
     fn count_children(&mut self) {
         let top = self.tree.root().level;
+        // In their order, children follow each other.
+        let mut children: Option<(NodeId, u8)> = None;
         for node in self.cut.nodes.iter().filter(|node| node.level < top) {
-            *self.num_on_cut.entry(node.parent()).or_default() += 1;
+            let parent = node.parent();
+            match &mut children {
+                Some((same, count)) if *same == parent => *count += 1,
+                _ => {
+                    self.num_on_cut.extend(children);
+                    children = Some((parent, 1));
+                }
+            }
         }
+        self.num_on_cut.extend(children);
     }
 
     /// Merges until no node is finer than the finest level.
@@ -187,26 +197,20 @@ impl<'a> Frame<'a> {
         }
     }
 
-    fn add_up(&mut self) {
+    /// Adds up what the cut takes, and fills the queues.
+    fn survey(&mut self) {
         let whole: Vec<NodeId> = self.cut.nodes.iter().copied().collect();
         let partial: Vec<(NodeId, u8)> = self.cut.partial.iter().map(|(n, m)| (*n, *m)).collect();
         let mut used = Amount::default();
         for node in whole {
             used = used.plus(self.facts(node).amount);
+            self.enqueue_split(node);
         }
         for (node, num_missing) in partial {
             used = used.plus(self.remainder(node, num_missing));
         }
         self.used = used;
-    }
-
-    fn fill_queues(&mut self) {
-        let nodes: Vec<NodeId> = self.cut.nodes.iter().copied().collect();
-        for node in nodes {
-            self.enqueue_split(node);
-        }
-        let mut split: Vec<NodeId> = self.num_on_cut.keys().copied().collect();
-        split.sort_unstable();
+        let split: Vec<NodeId> = self.num_on_cut.keys().copied().collect();
         for node in split {
             self.enqueue_merge(node);
         }
