@@ -121,7 +121,7 @@ fn slices_with_less_memory_than_the_data() {
 
 #[test]
 fn slices_that_decode_at_each_fetch() {
-    let options = GpuOptions { way: Way::Fetch, memory_bytes: 64 << 20, ..Default::default() };
+    let options = GpuOptions { way: Some(Way::Fetch), memory_bytes: 64 << 20, ..Default::default() };
     run_over_list("slices fetch", &options, MOST_FAILED);
 }
 
