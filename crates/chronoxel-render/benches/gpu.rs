@@ -43,7 +43,7 @@ fn decoded(scene: &Scene, list: &[GpuBrick]) -> Vec<DrawBrick> {
 }
 
 fn gpu(c: &mut Criterion) {
-    let renderer = |way| GpuRenderer::new(&GpuOptions { way, ..Default::default() });
+    let renderer = |way| GpuRenderer::new(&GpuOptions { way: Some(way), ..Default::default() });
     let (mut pool, mut fetch) = match (renderer(Way::Pool), renderer(Way::Fetch)) {
         (Ok(pool), Ok(fetch)) => (pool, fetch),
         (Err(e), _) | (_, Err(e)) => return println!("{e}"),

@@ -167,7 +167,7 @@ fn steps_are_blended() {
     // Decoding twice at each fetch takes drivers in software seconds a picture.
     let ways = [(Way::Pool, false, 64), (Way::Pool, true, 64), (Way::Pool, false, 3), (Way::Fetch, false, 3)];
     for (way, guaranteed_only, mib) in ways {
-        let options = GpuOptions { way, guaranteed_only, ..with_memory(mib << 20) };
+        let options = GpuOptions { way: Some(way), guaranteed_only, ..with_memory(mib << 20) };
         let Some(mut gpu) = renderer(&options) else { return };
         for weight in if way == Way::Pool { &[0.25, 0.6, 0.6, 1.0][..] } else { &[0.6] } {
             let case = between_steps(*weight);
@@ -207,7 +207,9 @@ fn memory_far_below_the_data_draws_the_same_picture() {
     let num_bytes = case.bricks.len() as u64 * 19 * 19 * (19 + 20) * 2;
     for (way, mib) in [(Way::Pool, 3), (Way::Pool, 6), (Way::Pool, 64), (Way::Fetch, 3)] {
         let memory_bytes = mib << 20;
-        let Some(mut gpu) = renderer(&GpuOptions { way, ..with_memory(memory_bytes) }) else { return };
+        let Some(mut gpu) = renderer(&GpuOptions { way: Some(way), ..with_memory(memory_bytes) }) else {
+            return;
+        };
         for step in [3, 1] {
             let case = at_step(&case, step);
             let drawn = gpu.draw(&case.scene, &case.bricks).unwrap();
@@ -270,7 +272,7 @@ fn nothing_is_a_blank_picture() {
 
 #[test]
 fn colors_are_interpolated_on_request() {
-    let way = |way, interpolation| GpuOptions { way, interpolation, ..with_memory(64 << 20) };
+    let way = |way, interpolation| GpuOptions { way: Some(way), interpolation, ..with_memory(64 << 20) };
     let Some(mut scalar) = renderer(&way(Way::Pool, Interpolation::Scalar)) else { return };
     // Where colours are linear in the value, both are one.
     let mut case = case(&field(), 16, Coding::Affine);

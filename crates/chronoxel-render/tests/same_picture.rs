@@ -69,6 +69,6 @@ fn gpu_with_less_memory_than_the_data() {
 
 #[test]
 fn gpu_that_decodes_at_each_fetch() {
-    let options = GpuOptions { way: Way::Fetch, memory_bytes: 64 << 20, ..Default::default() };
+    let options = GpuOptions { way: Some(Way::Fetch), memory_bytes: 64 << 20, ..Default::default() };
     run_over_gpu("fetch", &options);
 }

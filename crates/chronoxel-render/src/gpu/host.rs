@@ -133,8 +133,18 @@ pub(super) struct VertexData {
     pub position: [f32; 3],
     /// Of its plane, in step lengths behind where rays start.
     pub depth: f32,
-    /// What its polygon holds: the number of a brick, or of a constant.
+    /// The number of the box that its polygon is cut from.
+    pub number: u32,
+}
+
+/// `Box` of `slices.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct BoxData {
+    pub low: [f32; 3],
     pub content: u32,
+    pub high: [f32; 3],
+    pub padding: u32,
 }
 
 /// `CONSTANT` of `slices.wgsl`.

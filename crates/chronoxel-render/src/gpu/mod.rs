@@ -57,8 +57,8 @@ pub struct GpuOptions {
     pub guaranteed_only: bool,
     /// What is drawn of bricks.
     pub method: Method,
-    /// When payloads are decoded.
-    pub way: Way,
+    /// When payloads are decoded; `None` for what is faster on adapters of the kind, see [`Way::for_adapter`].
+    pub way: Option<Way>,
     /// What is interpolated.
     pub interpolation: Interpolation,
 }
@@ -70,7 +70,7 @@ impl Default for GpuOptions {
             adapter: None,
             guaranteed_only: false,
             method: Method::default(),
-            way: Way::default(),
+            way: None,
             interpolation: Interpolation::default(),
         }
     }
@@ -87,13 +87,22 @@ pub enum Method {
 }
 
 /// When payloads are decoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// Once per step, into the brick pool, which the GPU's filters interpolate.
-    #[default]
     Pool,
     /// At each fetch: eight indices are looked up in their tables for each sample that is taken.
     Fetch,
+}
+
+impl Way {
+    /// The faster way on adapters of a kind; `chronoxel bench gpu-playback` measures both.
+    ///
+    /// Programs on the CPU decode a step in less time than one picture takes that is decoded at each fetch. GPUs have
+    /// filters for what [`Way::Fetch`] computes; none has been measured.
+    pub fn for_adapter(_info: &GpuInfo) -> Self {
+        Self::Pool
+    }
 }
 
 /// What is interpolated between samples.
@@ -239,6 +248,7 @@ impl Drawing {
 #[derive(Debug)]
 pub struct GpuRenderer {
     options: GpuOptions,
+    way: Way,
     residency: Residency,
     drawing: Drawing,
     colors: Colors,
@@ -255,8 +265,17 @@ impl GpuRenderer {
         let device = Device::new(options)?;
         let timer = Timer::new(&device)?;
         let drawing = Drawing::new(&device, options)?;
-        let residency = Residency::new(options);
-        Ok(Self { options: options.clone(), residency, drawing, colors: Colors::default(), timer, device })
+        let way = options.way.unwrap_or_else(|| Way::for_adapter(&device.info));
+        let residency = Residency::new(options.memory_bytes, way);
+        Ok(Self {
+            options: options.clone(),
+            way,
+            residency,
+            drawing,
+            colors: Colors::default(),
+            timer,
+            device,
+        })
     }
 
     /// The adapter that [`Self::new`] would draw on.
@@ -270,6 +289,11 @@ impl GpuRenderer {
     /// Which adapter it is, and what it offers.
     pub fn info(&self) -> &GpuInfo {
         &self.device.info
+    }
+
+    /// When it decodes.
+    pub fn way(&self) -> Way {
+        self.way
     }
 
     /// Draws a scene from its bricks.
@@ -376,7 +400,7 @@ impl GpuRenderer {
         mut is_first: bool,
         stats: &mut GpuStats,
     ) -> Result<(), GpuError> {
-        let GpuOptions { way, interpolation, .. } = self.options;
+        let (way, interpolation) = (self.way, self.options.interpolation);
         self.colors.set(scene, bricks)?;
         self.drawing.set_colors(&self.device, &self.colors.words)?;
         self.residency.hold(&self.device, scene, bricks)?;

@@ -15,9 +15,7 @@ use super::page_table::CellBox;
 use super::pool::{Found, Pool, PoolShape, When};
 use super::raycast::{Content, Portion, Sources};
 use super::timing::Timer;
-use super::{
-    CodedBrick, GpuBrick, GpuError, GpuHow, GpuOptions, GpuStats, LaterStep, RenderError, Scene, Way,
-};
+use super::{CodedBrick, GpuBrick, GpuError, GpuHow, GpuStats, LaterStep, RenderError, Scene, Way};
 use crate::cpu::table::{NUM_ENTRIES, Table, premultiplied};
 use crate::scene::MAX_LEVELS;
 
@@ -79,7 +77,8 @@ pub(super) struct Making<'a> {
 /// What lies on the GPU from picture to picture.
 #[derive(Debug)]
 pub(super) struct Residency {
-    options: GpuOptions,
+    memory_bytes: u64,
+    way: Way,
     pub(super) here: Option<Here>,
     /// Counts uses.
     pub(super) now: u64,
@@ -137,8 +136,8 @@ struct Samples {
 const ENTRY_BYTES: u64 = 512;
 
 impl Residency {
-    pub fn new(options: &GpuOptions) -> Self {
-        Self { options: options.clone(), here: None, now: 0, began: 0 }
+    pub fn new(memory_bytes: u64, way: Way) -> Self {
+        Self { memory_bytes, way, here: None, now: 0, began: 0 }
     }
 
     /// Forgets what is resident: after a list that could not be drawn, slots may have been taken and not decoded.
@@ -154,7 +153,7 @@ impl Residency {
     /// What the ray caster reads: the pool and, where it decodes at each fetch, the bank.
     pub fn sources(&self) -> Sources<'_> {
         let here = self.here.as_ref().expect("made before a portion is gathered");
-        let bank = if self.options.way == Way::Fetch { here.banks.raw(0) } else { None };
+        let bank = if self.way == Way::Fetch { here.banks.raw(0) } else { None };
         Sources { pool: &here.slots().pool, bank }
     }
 
@@ -169,7 +168,7 @@ impl Residency {
             if self.here.take().is_some() {
                 device.settle();
             }
-            self.here = Some(Here::new(device, &self.options, layout)?);
+            self.here = Some(Here::new(device, self.memory_bytes, self.way, layout)?);
         }
         self.began = self.now + 1;
         let here = self.here.as_mut().expect("made above");
@@ -178,14 +177,14 @@ impl Residency {
             _ => None,
         };
         let num_held = here.slots.as_ref().map_or(0, |slots| slots.pool.shape.num_slots() as usize);
-        let wanted = match self.options.way {
+        let wanted = match self.way {
             Way::Fetch => 1,
             Way::Pool if bricks.iter().filter_map(coded).count() <= num_held => num_held,
             Way::Pool => bricks.iter().filter_map(coded).collect::<HashSet<_>>().len(),
         };
         here.hold_slots(device, wanted as u64)?;
         let has_mask = |brick: &GpuBrick| matches!(&brick.how, GpuHow::Coded(coded) if coded.mask.is_some());
-        if self.options.way == Way::Pool && bricks.iter().any(has_mask) {
+        if self.way == Way::Pool && bricks.iter().any(has_mask) {
             here.slots_mut().pool.hold_masks(device)?;
         }
         Ok(())
@@ -203,14 +202,14 @@ impl Residency {
         colors: &Colors,
     ) -> Result<Portion, GpuError> {
         let since = self.now + 1;
-        let most = (self.options.memory_bytes / 8 / ENTRY_BYTES).max(1);
+        let most = (self.memory_bytes / 8 / ENTRY_BYTES).max(1);
         let mut portion = Portion::new();
         let from = *drawn;
         while *drawn < bricks.len() && (portion.len() as u64) < most {
             let brick = &bricks[*drawn];
             match self.place(making, scene, brick, colors, since)? {
                 Placed::NoRoom if portion.is_empty() && *drawn == from => {
-                    let (given, what) = (self.options.memory_bytes, "the payloads of a brick");
+                    let (given, what) = (self.memory_bytes, "the payloads of a brick");
                     return Err(GpuError::MemoryTooSmall { given, what, needed: given, least: 2 * given });
                 }
                 Placed::NoRoom => break,
@@ -256,7 +255,7 @@ impl Residency {
                 let is_seen =
                     |range: ValueRange| !table.is_transparent_between([range.low, range.low + range.width]);
                 self.now += 1;
-                let way = self.options.way;
+                let way = self.way;
                 let here = self.here.as_mut().expect("made before a portion is gathered");
                 match here.samples(making, coded, way, is_seen, [since, self.now])? {
                     Err(placed) => Ok(placed),
@@ -276,10 +275,10 @@ impl Residency {
 impl Here {
     /// The shares of the budget: a quarter is for the picture, an eighth for lists, a sixteenth for colours; of the rest,
     /// three fifths are for the pool and what decodes into it, and two for banks.
-    fn new(device: &Device, options: &GpuOptions, layout: &BrickLayout) -> Result<Self, GpuError> {
-        let share = options.memory_bytes / 16 * 9;
+    fn new(device: &Device, memory_bytes: u64, way: Way, layout: &BrickLayout) -> Result<Self, GpuError> {
+        let share = memory_bytes / 16 * 9;
         let (pool_bytes, bank_bytes) = (share / 5 * 3, share / 5 * 2);
-        let banks = match options.way {
+        let banks = match way {
             Way::Pool => Banks::new(bank_bytes, usize::MAX),
             Way::Fetch => Banks::new(bank_bytes, 1),
         };
@@ -298,7 +297,7 @@ impl Here {
         }
         if most_slots == 0 {
             let needed = slot_bytes + Decoder::num_bytes(&PoolShape::new(layout, 1, edge));
-            let (given, what) = (options.memory_bytes, "a brick");
+            let (given, what) = (memory_bytes, "a brick");
             return Err(GpuError::MemoryTooSmall {
                 given,
                 what,

@@ -4,7 +4,7 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{Module, TypeInner};
 
 use super::host::{
-    BatchData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
+    BatchData, BoxData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
 };
 use super::import::{BYTES, DECODE, RAYCAST, SHARED, SLICES, with_imports};
 
@@ -151,6 +151,7 @@ fn structs_of_slices_are_laid_out_alike() {
             is_perspective,
         })
     );
+    assert_eq!(layout_in(&slices, "Box"), layout_of!(BoxData { low, content, high }));
 }
 
 #[test]

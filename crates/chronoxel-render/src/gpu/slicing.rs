@@ -7,7 +7,7 @@ use bytemuck::{bytes_of, cast_slice};
 use chronoxel_core::Projection;
 
 use super::device::{Device, storage, uniform};
-use super::host::{CONSTANT, PlanesData, VertexData, ViewData};
+use super::host::{BoxData, CONSTANT, PlanesData, VertexData, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::CellBox;
 use super::raycast::{Content, Key, Portion, Shot, Sources, key_of, start_depth, view_of};
@@ -28,6 +28,7 @@ pub(super) struct Slicing {
     planes: Buffer,
     bricks: Mirror,
     constants: Mirror,
+    boxes: Mirror,
     colors: Mirror,
     nothing: Buffer,
     polygons: Polygons,
@@ -77,9 +78,9 @@ impl Polygons {
         self.vertices.len() + polygon.len() <= self.most_vertices
     }
 
-    fn push(&mut self, polygon: &[[f32; 3]], depth: f32, content: u32) {
+    fn push(&mut self, polygon: &[[f32; 3]], depth: f32, number: u32) {
         let first = self.vertices.len() as u32;
-        self.vertices.extend(polygon.iter().map(|&position| VertexData { position, depth, content }));
+        self.vertices.extend(polygon.iter().map(|&position| VertexData { position, depth, number }));
         self.indices.extend((first + 1..self.vertices.len() as u32 - 1).flat_map(|v| [first, v, v + 1]));
     }
 }
@@ -96,7 +97,6 @@ struct Pass {
 struct Cut {
     region: [[f64; 3]; 2],
     level: u8,
-    content: u32,
 }
 
 impl Slicing {
@@ -116,8 +116,9 @@ impl Slicing {
             sampler: device.raw.create_sampler(&sampler),
             view: uniform("the view", size_of::<ViewData>())?,
             planes: uniform("the planes of slices", size_of::<PlanesData>())?,
-            bricks: Mirror::new(device, "the list of bricks", lists_bytes / 4)?,
-            constants: Mirror::new(device, "the list of constants", lists_bytes / 4)?,
+            bricks: Mirror::new(device, "the list of bricks", lists_bytes / 6)?,
+            constants: Mirror::new(device, "the list of constants", lists_bytes / 6)?,
+            boxes: Mirror::new(device, "the list of boxes", lists_bytes / 6)?,
             colors: Mirror::new(device, "the colours of the transfer function", colors_bytes)?,
             nothing: device.buffer("nothing", 16, Usage::STORAGE)?,
             polygons: Polygons::new(device, lists_bytes / 2)?,
@@ -183,20 +184,25 @@ impl Slicing {
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
         let (start, mut slicers, mut list) = (start_of(scene), BTreeMap::new(), SliceList::default());
-        for cut in cuts {
+        let margin = margin_of(scene);
+        for (number, cut) in (0..).zip(cuts) {
             if let Entry::Vacant(place) = slicers.entry(cut.level) {
                 let (distance, order) = (scene.step_length_at(cut.level), SliceOrder::BackToFront);
                 place.insert(Slicer::of_camera_in_voxels(&scene.camera, &scene.grid, distance, order)?);
             }
             list.clear();
-            slicers[&cut.level].slice(cut.region, &mut list)?;
-            for (number, slice) in list.slices().iter().enumerate() {
-                let polygon = list.polygon(number);
+            // The planes are those of the box, the polygons reach beyond it.
+            let owned = slicers[&cut.level].numbers(cut.region)?;
+            let [low, high] = cut.region;
+            let larger = std::array::from_fn(|a| low[a] - margin[a]);
+            slicers[&cut.level].slice([larger, std::array::from_fn(|a| high[a] + margin[a])], &mut list)?;
+            for (i, slice) in list.slices().iter().enumerate().filter(|(_, slice)| owned.contains(slice)) {
+                let polygon = list.polygon(i);
                 if !self.polygons.has_room_for(polygon) {
                     self.flush(device, pass, timer);
                 }
                 let depth = f64::from(*slice) * (1u64 << cut.level) as f64 - start;
-                self.polygons.push(polygon, depth as f32, cut.content);
+                self.polygons.push(polygon, depth as f32, number);
             }
         }
         Ok(())
@@ -204,7 +210,8 @@ impl Slicing {
 
     /// Uploads what is in the boxes of a portion; returns what is to be cut, in order.
     fn set_lists(&mut self, device: &Device, scene: &Scene, portion: &Portion) -> Result<Vec<Cut>, GpuError> {
-        let (mut bricks, mut constants) = (Vec::new(), Vec::new());
+        let (mut bricks, mut constants, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
+        let is_across = axes_across(scene);
         let cuts = portion.iter().map(|(place, content)| {
             let (scale, content) = match content {
                 Content::Brick(brick) => {
@@ -216,11 +223,21 @@ impl Slicing {
                     (constant.scale, CONSTANT | (constants.len() as u32 - 1))
                 }
             };
-            Cut { region: region_of(scene, place), level: (1.0 / scale).log2().round() as u8, content }
+            let region = region_of(scene, place);
+            let plane =
+                |side: usize, a: usize| if is_across[a] { BEYOND[side] } else { region[side][a] as f32 };
+            boxes.push(BoxData {
+                low: std::array::from_fn(|a| plane(0, a)),
+                content,
+                high: std::array::from_fn(|a| plane(1, a)),
+                padding: 0,
+            });
+            Cut { region, level: (1.0 / scale).log2().round() as u8 }
         });
-        let cuts = cuts.collect();
+        let cuts: Vec<Cut> = cuts.collect();
         self.bricks.set(device, cast_slice(&bricks))?;
         self.constants.set(device, cast_slice(&constants))?;
+        self.boxes.set(device, cast_slice(&boxes))?;
         Ok(cuts)
     }
 
@@ -277,6 +294,7 @@ impl Slicing {
             (4, self.colors.raw().as_entire_binding()),
             (5, masks.raw.as_entire_binding()),
             (6, bank.unwrap_or(&self.nothing.raw).as_entire_binding()),
+            (7, self.boxes.raw().as_entire_binding()),
             (8, wgpu::BindingResource::TextureView(&pool.texture.view)),
             (9, wgpu::BindingResource::Sampler(&self.sampler)),
         ];
@@ -301,7 +319,7 @@ fn layout_of(device: &Device) -> wgpu::BindGroupLayout {
     };
     let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
     let mut bindings = vec![(0, uniform(false)), (1, uniform(false))];
-    bindings.extend((2..7).map(|binding| (binding, storage(true))));
+    bindings.extend((2..8).map(|binding| (binding, storage(true))));
     bindings.extend([(8, texture), (9, sampler)]);
     let entries = bindings.into_iter().map(|(binding, ty)| {
         let visibility = match binding {
@@ -382,6 +400,42 @@ fn region_of(scene: &Scene, place: &CellBox) -> [[f64; 3]; 2] {
     let size = edge * (1u64 << place.level) as f64;
     let high = std::array::from_fn(|a| (low[a] + size).min((scene.grid.dims[a] - 1) as f64));
     [low, high]
+}
+
+/// Below and above every plane.
+const BEYOND: [f32; 2] = [-1e15, 1e15];
+/// How much of a pixel polygons reach beyond their boxes: WebGPU rounds vertices to no less than a 256th of one.
+const MARGIN_PIXELS: f64 = 1.0 / 32.0;
+/// And how much of the grid, for the sake of rounding in 32 bits.
+const MARGIN_OF_GRID: f64 = 1e-5;
+
+/// By how much boxes are larger than they are when they are cut, along each axis, voxels.
+fn margin_of(scene: &Scene) -> [f64; 3] {
+    let (grid, rays) = (&scene.grid, scene.camera.rays(scene.size));
+    let length = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let pixel = length(rays.per_column).max(length(rays.per_row));
+    let is_perspective = matches!(scene.camera.projection(), Projection::Perspective { .. });
+    let bounds = grid.bounds();
+    let depth_of = |corner: usize| -> f64 {
+        (0..3).map(|a| (bounds[corner >> a & 1][a] - rays.position[a]) * rays.forward[a]).sum()
+    };
+    // Pixels are largest at the far end of the grid.
+    let farthest = (0..8).map(depth_of).fold(0.0, f64::max);
+    let world = MARGIN_PIXELS * pixel * if is_perspective { farthest } else { 1.0 };
+    std::array::from_fn(|a| world / grid.spacing[a] + MARGIN_OF_GRID * grid.dims[a] as f64)
+}
+
+/// Along which axis slices lie in the faces of boxes, so that numbers decide whose a whole plane is, and not where its
+/// points are, which is rounded.
+fn axes_across(scene: &Scene) -> [bool; 3] {
+    let normal: [f64; 3] = std::array::from_fn(|a| {
+        scene.camera.axes()[2][a] * scene.grid.spacing[a] * scene.grid.dims[a] as f64
+    });
+    // What a plane that is across here moves by along the axis, over the grid, in voxels.
+    std::array::from_fn(|a| {
+        let others: f64 = (0..3).filter(|b| *b != a).map(|b| normal[b].abs()).sum();
+        others * (scene.grid.dims[a] as f64) < 1e-3 * normal[a].abs()
+    })
 }
 
 /// The depth where rays start, in step lengths.

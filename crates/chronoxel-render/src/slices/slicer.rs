@@ -137,10 +137,7 @@ impl Slicer {
     /// beside the box that there would be more than [`MAX_SLICES_PER_BOX`] slices, or more than 2^30 up to it, or
     /// more than 2^32 vertices in the list. The list stays as it is then.
     pub fn slice(&self, bounds: [[f64; 3]; 2], list: &mut SliceList) -> Result<usize, RenderError> {
-        if !bounds.as_flattened().iter().all(|c| c.abs() <= MAX_COORDINATE) {
-            let remedy = "each coordinate must be a number below 1e30";
-            return Err(RenderError::invalid("box to slice", format!("{bounds:?}"), remedy));
-        }
+        check_bounds(bounds)?;
         if (0..3).any(|a| bounds[0][a] >= bounds[1][a]) {
             return Ok(0);
         }
@@ -150,6 +147,18 @@ impl Slicer {
             self.sweep(&cut, slices.clone(), list);
         }
         Ok(slices.len())
+    }
+
+    /// The numbers of the slices that [`Self::slice`] gives of a box.
+    ///
+    /// # Errors
+    /// As [`Self::slice`].
+    pub fn numbers(&self, bounds: [[f64; 3]; 2]) -> Result<Range<i32>, RenderError> {
+        check_bounds(bounds)?;
+        if (0..3).any(|a| bounds[0][a] >= bounds[1][a]) {
+            return Ok(0..0);
+        }
+        self.slices_of(&BoxToCut::new(self, bounds), &SliceList::default())
     }
 
     /// The slices of a box.
@@ -260,6 +269,14 @@ impl Slicer {
     }
 }
 
+fn check_bounds(bounds: [[f64; 3]; 2]) -> Result<(), RenderError> {
+    if bounds.as_flattened().iter().all(|c| c.abs() <= MAX_COORDINATE) {
+        return Ok(());
+    }
+    let remedy = "each coordinate must be a number below 1e30";
+    Err(RenderError::invalid("box to slice", format!("{bounds:?}"), remedy))
+}
+
 /// On which faces the corner of a number lies, given those of corner 0: bit `i` puts it on the other face of `axes[i]`.
 fn corner_of(number: usize, axes: [usize; 3], is_high: [bool; 3]) -> [usize; 3] {
     let mut corner = is_high.map(usize::from);
@@ -357,6 +374,23 @@ fn write_polygons<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_are_those_of_the_slices() {
+        for order in [SliceOrder::FrontToBack, SliceOrder::BackToFront] {
+            let slicer = Slicer::new([0.3, -0.5, 0.8], [1.0, 2.0, 3.0], 0.37, order).unwrap();
+            for bounds in
+                [[[0.0; 3], [8.0; 3]], [[-5.0, 3.0, 2.0], [-4.9, 3.1, 2.05]], [[1.0; 3], [1.0, 2.0, 2.0]]]
+            {
+                let mut list = SliceList::default();
+                slicer.slice(bounds, &mut list).unwrap();
+                let mut slices = list.slices().to_vec();
+                slices.sort_unstable();
+                assert_eq!(slicer.numbers(bounds).unwrap().collect::<Vec<_>>(), slices);
+            }
+            assert!(slicer.numbers([[0.0; 3], [f64::NAN; 3]]).is_err());
+        }
+    }
 
     #[test]
     fn the_network_sorts() {

@@ -29,6 +29,11 @@ impl Input {
         Ok(Self { name: name.to_owned(), series })
     }
 
+    /// A series that is made here.
+    pub fn of(name: &str, series: Box<dyn TimeSeries>) -> Self {
+        Self { name: name.to_owned(), series }
+    }
+
     /// The source in the user's words.
     pub fn name(&self) -> &str {
         &self.name

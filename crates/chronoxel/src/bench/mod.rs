@@ -6,10 +6,13 @@
 pub mod binotto2003;
 pub mod binotto2003_speed;
 pub mod ellsworth2000;
+pub mod gpu_playback;
 mod input;
 pub mod lum2001;
 pub mod lum2001_playback;
+mod ripples;
 mod stepping;
+mod whole_texture;
 mod workplace;
 
 use serde::{Serialize, Serializer, ser::SerializeStruct};

@@ -15,13 +15,13 @@ use super::{
 };
 use crate::{
     bench::{
-        BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, lum2001,
-        lum2001_playback,
+        BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, gpu_playback,
+        lum2001, lum2001_playback,
     },
     progress::{Counted, Progress},
 };
 
-/// Reproduce a paper's tables: the paper's figures beside those measured here
+/// Reproduce a paper's tables, or measure playback: the paper's figures beside those measured here
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   chronoxel bench lum2001
@@ -29,6 +29,7 @@ use crate::{
   chronoxel bench lum2001 --source 'run/density_*.vti' --source 'sim:vortex?dims=96' --json
   chronoxel bench binotto2003 --out results
   chronoxel bench ellsworth2000 --source 'isabel/*.vti'
+  chronoxel bench gpu-playback --size full --memory 16GiB
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
@@ -39,7 +40,9 @@ Benches:
                frames per second at 200 and 500 slices and three sizes of picture, on the CPU and on a GPU where there is one
   ellsworth2000
                the time-space partitioning tree: time to compute its errors, ms per frame and what is drawn how, by metric, tolerance,
-               transfer function and size of brick")]
+               transfer function and size of brick
+  gpu-playback playback on a GPU: frame rates, what a step costs and what is uploaded, beside a plain ray caster over one whole texture;
+               128 and 256 samples along an edge, 512 and 1024 in full, or any data in their place")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -72,6 +75,8 @@ enum BenchName {
     Binotto2003Speed,
     /// Accelerating time-varying hardware volume rendering using TSP trees and color-based error metrics (Ellsworth, Chiang, Shen, 2000)
     Ellsworth2000,
+    /// Playback on a GPU, beside a ray caster over one whole texture
+    GpuPlayback,
 }
 
 /// Sizes of the simulations.
@@ -96,6 +101,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         BenchName::Binotto2003 => binotto2003::sources(&args.source),
         BenchName::Binotto2003Speed => binotto2003_speed::sources(&args.source, size),
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
+        BenchName::GpuPlayback => args.source.clone(),
     };
     let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
@@ -120,6 +126,7 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
             binotto2003_speed::run(inputs, &place, common.memory.0, &mut progress)?
         }
         BenchName::Ellsworth2000 => ellsworth2000::run(inputs, size, &place, common.memory.0, &mut progress)?,
+        BenchName::GpuPlayback => gpu_playback::run(inputs, size, &place, common.memory.0, &mut progress)?,
     };
     if let Some(bar) = bar {
         bar.finish();

@@ -176,7 +176,8 @@ impl Session {
             };
             let need = |(i, record): (usize, &SpanRecord)| {
                 // The first has the masks of both.
-                let masked_by = if i == 0 { records.clone() } else { Vec::new() };
+                let is_masked = |record: &&SpanRecord| i == 0 && record.mask.is_some();
+                let masked_by: Vec<SpanRecord> = records.iter().filter(is_masked).copied().collect();
                 let key = CodedKey::new(level, record, &masked_by)?;
                 let step_in_span = step + i as u32 - record.start;
                 Some(Need { record: *record, key, step_in_span, masked_by })

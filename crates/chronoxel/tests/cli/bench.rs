@@ -6,7 +6,7 @@ use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::{
-    command::{at, done, json, refused},
+    command::{at, done, json, refused, run},
     files::{names_in, npy_bytes},
 };
 
@@ -226,6 +226,29 @@ fn check_coherence(rows: &BTreeMap<String, Value>, source: &str, case: &str) {
         let [reference, approximate] =
             ["reference", "approximate"].map(|metric| number(share("zero", metric), key));
         assert!((reference - approximate).abs() <= 5.0, "{source}, {case}: {key} {reference} {approximate}");
+    }
+}
+
+#[test]
+fn playback_on_the_gpu_stands_beside_a_whole_texture() {
+    let folder = tempdir().unwrap();
+    if std::env::var("CHRONOXEL_REQUIRE_GPU").as_deref() != Ok("1")
+        && run(folder.path(), "bench gpu-playback --size tiny").stderr.contains("no GPU adapter")
+    {
+        return println!("skipped: there is no adapter");
+    }
+    let rows = rows(&json(folder.path(), "bench gpu-playback --size tiny"));
+    assert_eq!(rows.len(), 4);
+    for (label, row) in &rows {
+        for key in ["fps_pool", "fps_shown", "fps_fetch", "fps_whole", "fps_cpu", "render_ms_pool"] {
+            assert!(number(row, &format!("here.{key}")) > 0.0, "{label}: {key}: {row}");
+        }
+        assert!(number(row, "here.psnr_db") > 35.0, "{label}: {row}");
+        let [own, whole] = ["here.bytes_per_frame", "here.whole_bytes_per_frame"].map(|key| number(row, key));
+        match label.ends_with("new steps") {
+            true => assert!(own < 1024.0 && whole == 8000.0, "{label}: {row}"),
+            false => assert!(own < 512.0 && whole == 0.0, "{label}: {row}"),
+        }
     }
 }
 

@@ -25,40 +25,57 @@ struct Planes {
 @group(0) @binding(1) var<uniform> planes: Planes;
 @group(0) @binding(6) var<storage, read> bank: array<u32>;
 
-// In what a polygon holds: whether it is the number of a constant, not of a brick.
+// What polygons are cut from.
+struct Box {
+    // Its planes, voxels of level 0; none where slices lie along them.
+    low: vec3<f32>,
+    // The number of a brick or of a constant.
+    content: u32,
+    high: vec3<f32>,
+    padding: u32,
+}
+
+@group(0) @binding(7) var<storage, read> boxes: array<Box>;
+
+// In what a box holds: whether it is the number of a constant, not of a brick.
 const CONSTANT: u32 = 0x80000000u;
 
 struct Vertex {
     @builtin(position) position: vec4<f32>,
     // Of the polygon's plane: how far behind where rays start, in step lengths.
     @location(0) @interpolate(flat) depth: f32,
-    @location(1) @interpolate(flat) content: u32,
+    @location(1) @interpolate(flat) number: u32,
 }
 
-// Polygons of neighbours share vertices to the bit, and vertices of a plane its depth; so they cover each pixel once.
 @vertex
-fn place_vertex(@location(0) corner: vec4<f32>, @location(1) content: u32) -> Vertex {
+fn place_vertex(@location(0) corner: vec4<f32>, @location(1) number: u32) -> Vertex {
     let depth = select(1.0, corner.w + planes.start, planes.is_perspective == 1u);
     let column = dot(planes.column, corner.xyz) + planes.column_offset + planes.column_per_depth * depth;
     let row = dot(planes.row, corner.xyz) + planes.row_offset + planes.row_per_depth * depth;
-    return Vertex(vec4<f32>(column, row, 0.5 * depth, depth), corner.w, content);
+    return Vertex(vec4<f32>(column, row, 0.5 * depth, depth), corner.w, number);
 }
 
-// What a plane shows at a pixel, premultiplied. Where it is follows from the pixel's ray, not from the vertices.
+// What a plane shows at a pixel, premultiplied. Where it is follows from the pixel's ray, not from the vertices, which
+// are rounded to a part of a pixel: polygons reach a little too far, and whose a pixel is follows from where it is. That
+// is the same to the bit for all boxes, of whatever level; so each pixel of a plane is drawn once.
 @fragment
 fn shade(vertex: Vertex) -> @location(0) vec4<f32> {
     let pixel = vertex.position.xy + vec2<f32>(0.0, f32(view.first_row));
     // Its part along the direction of view is 1, so that its length is that of the way from plane to plane.
     let direction = view.direction + pixel.x * view.direction_per_column + pixel.y * view.direction_per_row;
     let length = length(direction);
-    if (vertex.content & CONSTANT) != 0u {
-        let constant = constants[vertex.content ^ CONSTANT];
+    let start = view.start + pixel.x * view.start_per_column + pixel.y * view.start_per_row;
+    let here = start + vertex.depth * direction * view.step_per_direction;
+    let place_of = boxes[vertex.number];
+    if any(here < place_of.low) || any(here >= place_of.high) {
+        discard;
+    }
+    if (place_of.content & CONSTANT) != 0u {
+        let constant = constants[place_of.content ^ CONSTANT];
         let weight = accumulate_constant(constant.color.w, constant.log_transmittance, length).x;
         return weight * constant.color;
     }
-    let brick = bricks[vertex.content];
-    let start = view.start + pixel.x * view.start_per_column + pixel.y * view.start_per_row;
-    let here = start + vertex.depth * direction * view.step_per_direction;
+    let brick = bricks[place_of.content];
     let place = clamp(here * brick.scale - brick.origin, vec3<f32>(0.0), vec3<f32>(view.most_place));
     if is_masked(brick, place) {
         discard;
