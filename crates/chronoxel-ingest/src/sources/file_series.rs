@@ -105,7 +105,7 @@ fn named_variables(header: &FileHeader, in_series: bool) -> Vec<Variable> {
 }
 
 /// Indices of the wanted variables, in the order wanted; all of them where none is named.
-fn select_variables(variables: &[Variable], wanted: &[String]) -> Result<Vec<usize>, SourceError> {
+pub(crate) fn select_variables(variables: &[Variable], wanted: &[String]) -> Result<Vec<usize>, SourceError> {
     if wanted.is_empty() {
         return Ok((0..variables.len()).collect());
     }

@@ -24,10 +24,11 @@ use std::path::{Path, PathBuf};
 
 use chronoxel_core::SampleType;
 
-use self::file_series::FileSeries;
+use self::file_series::{FileSeries, select_variables};
 use self::format::Format;
 use self::natural_order::natural_order;
 use self::volume_file::VolumeFile;
+use crate::mesh::{MeshSeries, Opened, SelectedMesh};
 use crate::{SourceError, TimeSeries};
 
 /// What a caller may say about a source beyond what its files do.
@@ -90,6 +91,34 @@ impl SourceOptions {
 /// # Errors
 /// [`SourceError`] naming the file, the field and the value if one cannot be opened or they do not agree.
 pub fn open(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn TimeSeries>, SourceError> {
+    match open_any(inputs, options)? {
+        Opened::Volume(series) => Ok(series),
+        Opened::Mesh(mesh) => {
+            let remedy = format!("it is a {} grid where a uniform one is needed", mesh.grid_type().name());
+            Err(SourceError::argument("SOURCE", &inputs[0], remedy))
+        }
+    }
+}
+
+/// Opens a source that is a mesh: a grid that is not uniform.
+///
+/// # Errors
+/// As [`open`]; also if the source is a uniform volume.
+pub fn open_mesh(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn MeshSeries>, SourceError> {
+    match open_any(inputs, options)? {
+        Opened::Mesh(mesh) => Ok(mesh),
+        Opened::Volume(_) => {
+            let remedy = "it is a uniform grid where a mesh is needed";
+            Err(SourceError::argument("SOURCE", &inputs[0], remedy))
+        }
+    }
+}
+
+/// Opens a source, whether it is a uniform volume or a mesh.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_any(inputs: &[String], options: &SourceOptions) -> Result<Opened, SourceError> {
     if let Some(spec) = inputs.iter().find(|input| input.starts_with("sim:")) {
         return open_simulation(spec, inputs.len(), options);
     }
@@ -97,26 +126,13 @@ pub fn open(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn TimeSe
     for path in expand(inputs)? {
         files.extend(open_files(&path, options)?);
     }
-    Ok(Box::new(FileSeries::new(files, options)?))
+    Ok(Opened::Volume(Box::new(FileSeries::new(files, options)?)))
 }
 
 /// Opens a built-in simulation, which takes its settings in its name.
-fn open_simulation(
-    spec: &str,
-    num_inputs: usize,
-    options: &SourceOptions,
-) -> Result<Box<dyn TimeSeries>, SourceError> {
+fn open_simulation(spec: &str, num_inputs: usize, options: &SourceOptions) -> Result<Opened, SourceError> {
     if num_inputs > 1 {
         return Err(SourceError::argument("SOURCE", spec, "a simulation cannot be joined with other inputs"));
-    }
-    let series = crate::sim::open(spec)?;
-    let names: Vec<&str> = series.variables().iter().map(|v| v.name.as_str()).collect();
-    if let Some(other) = options.variables.iter().find(|name| !names.contains(&name.as_str())) {
-        return Err(SourceError::argument(
-            "--variable",
-            other,
-            format!("the source has {}", names.join(", ")),
-        ));
     }
     let about_files = SourceOptions { variables: Vec::new(), memory_bytes: None, ..options.clone() };
     if about_files != SourceOptions::default() {
@@ -124,7 +140,17 @@ fn open_simulation(
                       --dtype, --spacing and --dt";
         return Err(SourceError::argument("SOURCE", spec, remedy));
     }
-    Ok(series)
+    match crate::sim::open_any(spec)? {
+        // A simulation that solves something has one variable.
+        Opened::Volume(series) => {
+            select_variables(series.variables(), &options.variables)?;
+            Ok(Opened::Volume(series))
+        }
+        Opened::Mesh(mesh) => {
+            let wanted = select_variables(mesh.variables(), &options.variables)?;
+            Ok(Opened::Mesh(Box::new(SelectedMesh::new(mesh, wanted))))
+        }
+    }
 }
 
 /// Opens one path: a collection gives several files.

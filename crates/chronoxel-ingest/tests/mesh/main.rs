@@ -1,0 +1,4 @@
+//! Meshes: what their cells become, and the files that they come from.
+
+mod conformity;
+mod split;
