@@ -51,6 +51,8 @@ pub struct MapStore {
     memory_left: u64,
     end: u64,
     num_bytes: u64,
+    memory_bytes: u64,
+    largest_bytes: u64,
 }
 
 impl MapStore {
@@ -69,6 +71,8 @@ impl MapStore {
             memory_left: memory_bytes,
             end: 0,
             num_bytes: 0,
+            memory_bytes: 0,
+            largest_bytes: 0,
         })
     }
 
@@ -77,26 +81,54 @@ impl MapStore {
         self.num_bytes
     }
 
+    /// Bytes of those that lie in memory.
+    pub fn memory_bytes(&self) -> u64 {
+        self.memory_bytes
+    }
+
+    /// Bytes of the largest, with the fields of its tetrahedra at a step.
+    pub fn largest_bytes(&self) -> u64 {
+        self.largest_bytes
+    }
+
+    /// Moves all maps to the file.
+    pub fn spill(&mut self) -> Result<(), EncodeError> {
+        self.memory_left = 0;
+        self.memory_bytes = 0;
+        for number in 0..self.places.len() {
+            let empty = Place::File { offset: 0, num_tetrahedra: 0, num_runs: 0 };
+            self.places[number] = match std::mem::replace(&mut self.places[number], empty) {
+                Place::Memory(map) => self.write(&map)?,
+                in_file => in_file,
+            };
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, map: &BrickMap) -> Result<Place, EncodeError> {
+        let file = self.file.get_mut().expect("no one panics while holding the file");
+        let written = file
+            .seek(SeekFrom::Start(self.end))
+            .and_then(|_| file.write_all(bytemuck::cast_slice(&map.tetrahedra)))
+            .and_then(|()| file.write_all(bytemuck::cast_slice(&map.runs)));
+        written.map_err(|source| self.failed(source))?;
+        let offset = self.end;
+        self.end += map.num_bytes();
+        Ok(Place::File { offset, num_tetrahedra: map.tetrahedra.len(), num_runs: map.runs.len() })
+    }
+
     /// Adds a map; the first has number 0.
     pub fn push(&mut self, map: BrickMap) -> Result<usize, EncodeError> {
         let bytes = map.num_bytes();
         self.num_bytes += bytes;
+        self.largest_bytes = self.largest_bytes.max(bytes + 80 * map.tetrahedra.len() as u64);
         let place = match bytes <= self.memory_left {
             true => {
                 self.memory_left -= bytes;
+                self.memory_bytes += bytes;
                 Place::Memory(map)
             }
-            false => {
-                let file = self.file.get_mut().expect("no one panics while holding the file");
-                let written = file
-                    .seek(SeekFrom::Start(self.end))
-                    .and_then(|_| file.write_all(bytemuck::cast_slice(&map.tetrahedra)))
-                    .and_then(|()| file.write_all(bytemuck::cast_slice(&map.runs)));
-                written.map_err(|source| self.failed(source))?;
-                let offset = self.end;
-                self.end += bytes;
-                Place::File { offset, num_tetrahedra: map.tetrahedra.len(), num_runs: map.runs.len() }
-            }
+            false => self.write(&map)?,
         };
         self.places.push(place);
         Ok(self.places.len() - 1)
@@ -146,5 +178,8 @@ mod tests {
             assert!(store.with(k as usize, |found| *found == map(k)).unwrap());
         }
         assert_eq!(store.num_bytes(), 15 * 56);
+        store.spill().unwrap();
+        assert_eq!(store.memory_bytes(), 0);
+        assert!((0..6).all(|k| store.with(k as usize, |found| *found == map(k)).unwrap()));
     }
 }
