@@ -43,13 +43,13 @@ use serde_json::{Value, json};
 
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 
-use crate::voxelise::{Room, Voxels};
+use crate::voxelise::{Room, VoxelOptions, Voxels};
 use crate::{EncodeError, MeshSeries, TimeSeries};
 use budget::Portions;
 use output::Output;
 use rate::Spending;
 use source::Source;
-use step::{CoreRoom, Stepper};
+use step::Stepper;
 use stream::StreamPlan;
 use variable::{Before, Coding, How, Places, StepTask, VariableEncoder};
 
@@ -95,14 +95,18 @@ pub fn encode_mesh(
         });
     }
     let folder = output.parent().unwrap_or(Path::new("."));
-    let voxels = voxelised(mesh, folder, options)?;
+    let mut voxels = voxels_of(mesh, folder, options)?;
     let report = *voxels.report();
+    if Job::new(&Source::Mesh(mesh, &voxels), options).is_err() {
+        // What encoding needs comes first; the map can be read from its file.
+        voxels.spill()?;
+    }
     let encoded = encode_source(Source::Mesh(mesh, &voxels), output, options, progress)?;
     Ok(EncodeReport { voxels: Some(report), ..encoded })
 }
 
 /// Voxelises a mesh as an encoding with these options does.
-pub(crate) fn voxelised(
+fn voxels_of(
     mesh: &mut dyn MeshSeries,
     folder: &Path,
     options: &EncodeOptions,
@@ -110,9 +114,23 @@ pub(crate) fn voxelised(
     let layout = BrickLayout::new(options.brick_edge)?;
     let variables = options.choose_variables(mesh.variables(), mesh.times().num_steps())?;
     let variables: Vec<_> = variables.iter().map(|(index, coding)| (*index, coding.fill_value)).collect();
-    let room = budget::voxel_room(mesh, &layout, options.memory_bytes)?;
+    voxelised(mesh, &variables, &layout, &options.voxels, folder, options.memory_bytes)
+}
+
+/// Voxelises a mesh within some memory.
+///
+/// * `variables`: their indices in the series, and what means "no data"
+pub(crate) fn voxelised(
+    mesh: &mut dyn MeshSeries,
+    variables: &[(usize, Option<f64>)],
+    layout: &BrickLayout,
+    options: &VoxelOptions,
+    folder: &Path,
+    memory_bytes: u64,
+) -> Result<Voxels, EncodeError> {
+    let room = budget::voxel_room(mesh, layout, memory_bytes)?;
     let room = Room { folder, list_bytes: room.list_bytes, map_bytes: room.map_bytes };
-    Voxels::new(mesh, &variables, &layout, &options.voxels, room)
+    Voxels::new(mesh, variables, layout, options, room)
 }
 
 fn encode_source(
@@ -292,7 +310,7 @@ impl Job {
                     progress(Progress { done_bytes, ..told.clone() });
                 };
                 let marks =
-                    encoder.encode_step(source, &self.task(step, folder), writer, &mut self.shares(&mut on_share))?;
+                    encoder.encode_step(source, &self.task(step), writer, &mut self.shares(&mut on_share))?;
                 told.done_bytes += bytes;
                 if !is_finished {
                     report.num_masked += marks.num_masked;
@@ -343,12 +361,12 @@ impl Job {
         encoders.collect()
     }
 
-    fn task<'a>(&'a self, step: usize, folder: &'a Path) -> StepTask<'a> {
+    fn task(&self, step: usize) -> StepTask<'_> {
         let stepper = Stepper {
             plan: &self.plan,
             tree: &self.description.tree,
             batch_bricks: self.portions.batch_bricks,
-            core_room: CoreRoom { folder, memory_bytes: self.core_bytes },
+            core_bytes: self.core_bytes,
         };
         StepTask { stepper, batch_nodes: self.portions.batch_nodes, step: step as u32 }
     }

@@ -1,7 +1,5 @@
 //! One step of one variable: each brick is cut or made, analysed and handed on, batch by batch.
 
-use std::path::Path;
-
 use chronoxel_core::{LevelGeometry, NodeId, Octree, Samples};
 use rayon::prelude::*;
 
@@ -10,7 +8,6 @@ use super::cut::cut;
 use super::mark::Marks;
 use super::real::Real;
 use super::stream::{Layer, StreamPlan, stream};
-use super::scratch::Scratch;
 use crate::voxelise::{MeshStep, Voxels};
 use crate::{EncodeError, StepReader};
 
@@ -27,15 +24,6 @@ pub enum Feed<'a> {
     },
 }
 
-/// Where the cores of nodes above the finest wait, while the bricks of a mesh are made.
-#[derive(Clone, Copy)]
-pub struct CoreRoom<'a> {
-    /// Where a nameless file may lie.
-    pub folder: &'a Path,
-    /// What they may take in memory.
-    pub memory_bytes: u64,
-}
-
 /// What does not change from step to step.
 pub struct Stepper<'a> {
     /// Slabs and levels.
@@ -44,8 +32,8 @@ pub struct Stepper<'a> {
     pub tree: &'a Octree,
     /// Bricks cut at once.
     pub batch_bricks: usize,
-    /// For the bricks of a mesh.
-    pub core_room: CoreRoom<'a>,
+    /// What the cores of nodes above the finest may take in memory, while the bricks of a mesh are made.
+    pub core_bytes: u64,
 }
 
 /// A brick of the step that streams past.
@@ -84,9 +72,7 @@ impl Stepper<'_> {
         let reader = match feed {
             Feed::Slices(reader) => reader,
             Feed::Mesh { values, voxels } => {
-                let layout = voxels.layout();
-                let core_bytes = (layout.num_core() * size_of::<T>()) as u64;
-                let scratch = Scratch::new(self.core_room.folder, core_bytes, self.core_room.memory_bytes)?;
+                let scratch = voxels.core_scratch::<T>(self.core_bytes)?;
                 let values = T::from_samples(values).expect("the kind of samples follows from their type");
                 let step = MeshStep::new(voxels, values, fill_value, scratch);
                 return self.each_of_mesh(voxels, step, of_brick, take, on_bricks);

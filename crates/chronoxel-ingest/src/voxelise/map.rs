@@ -76,6 +76,11 @@ impl MapStore {
         })
     }
 
+    /// Where the file lies.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// Bytes of all maps.
     pub fn num_bytes(&self) -> u64 {
         self.num_bytes

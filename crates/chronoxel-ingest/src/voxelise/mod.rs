@@ -7,21 +7,27 @@ mod lattice;
 mod map;
 mod needs;
 mod overlap;
+mod points;
 mod raster;
 mod records;
 mod step;
 
 use std::path::Path;
 
-use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree, UniformGrid, octree::levels_of};
+use serde::Serialize;
 
+use chronoxel_core::{BrickLayout, LevelGeometry, NodeId, Octree, Samples, UniformGrid, octree::levels_of};
+
+use crate::encode::real::Real;
+use crate::encode::scratch::Scratch;
 use crate::{EncodeError, MeshCensus, MeshSeries};
 use build::{BuildCounts, Builder, BuiltNode, Mesh};
 use lattice::Lattice;
 use map::MapStore;
 use records::{List, Pool, Tetrahedron};
 
-pub use step::{LevelBatch, MeshStep};
+pub use points::sample_points;
+pub(crate) use step::MeshStep;
 
 /// The levels that a tree has above its finest, where nothing else is asked for.
 pub const DEFAULT_MAX_DEPTH: u8 = 5;
@@ -80,7 +86,7 @@ pub struct Room<'a> {
 }
 
 /// What voxelising did, for reports.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct VoxelReport {
     /// What the mesh consists of.
     pub census: MeshCensus,
@@ -182,6 +188,11 @@ impl Voxels {
         &self.tree
     }
 
+    /// Sizes of the levels, finest first.
+    pub fn levels(&self) -> &[LevelGeometry] {
+        &self.levels
+    }
+
     /// The shape of bricks.
     pub fn layout(&self) -> &BrickLayout {
         &self.layout
@@ -216,6 +227,48 @@ impl Voxels {
     /// Moves the maps from memory to the file.
     pub fn spill(&mut self) -> Result<(), EncodeError> {
         self.maps.spill()
+    }
+
+    /// Makes the bricks of one step, level by level, finest first, in Morton order.
+    ///
+    /// * `values`: one for each point of the mesh
+    /// * `of_brick`: takes a node, and the samples of its core and apron, `[z, y, x]`, NaN where there is no data
+    ///
+    /// # Errors
+    /// If the system has no room for what waits, or of `of_brick`.
+    pub fn for_each_brick(
+        &self,
+        values: Samples,
+        of_brick: &mut dyn FnMut(NodeId, &[f64]) -> Result<(), EncodeError>,
+    ) -> Result<(), EncodeError> {
+        match values {
+            Samples::F32(values) => self.each_brick(values, of_brick),
+            Samples::F64(values) => self.each_brick(values, of_brick),
+        }
+    }
+
+    fn each_brick<T: Real>(
+        &self,
+        values: Vec<T>,
+        of_brick: &mut dyn FnMut(NodeId, &[f64]) -> Result<(), EncodeError>,
+    ) -> Result<(), EncodeError> {
+        let mut step = MeshStep::new(self, values, None, self.core_scratch::<T>(u64::MAX)?);
+        for batch in MeshStep::<T>::batches(self, 8) {
+            let make = |rank: u32, _: [usize; 3], samples: &mut Vec<T>| {
+                Ok((rank, samples.iter().map(|v| v.to_f64()).collect::<Vec<f64>>()))
+            };
+            for (rank, samples) in step.make(&batch, &make)? {
+                let morton = self.tree.nodes(batch.level)[rank as usize];
+                of_brick(NodeId { level: batch.level, morton }, &samples)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the cores of nodes with children wait while a step is made.
+    pub(crate) fn core_scratch<T: Real>(&self, memory_bytes: u64) -> Result<Scratch, EncodeError> {
+        let core_bytes = (self.layout.num_core() * size_of::<T>()) as u64;
+        Scratch::new(self.maps.folder(), core_bytes, memory_bytes)
     }
 
     fn core_samples(&self, geometry: &LevelGeometry, morton: u64) -> u64 {

@@ -206,6 +206,14 @@ fn planes_of(corners: &Corners) -> Option<[Plane; 4]> {
     Some(planes)
 }
 
+/// Whether a place lies in a tetrahedron, as samples of bricks do.
+pub fn is_inside(corners: &Corners, place: [f64; 3]) -> bool {
+    planes_of(corners).is_some_and(|planes| {
+        let distance = |p: &Plane| p.n[0] * place[0] + (p.n[1] * place[1] + (p.n[2] * place[2] + p.d));
+        planes.iter().all(|plane| distance(plane) >= -TOLERANCE)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,3 +1,8 @@
 //! Meshes as bricks: what is sampled, what a store of them holds.
 
+#[path = "../common/files.rs"]
+mod files;
 mod linear;
+mod meshes;
+mod store;
+mod tree;

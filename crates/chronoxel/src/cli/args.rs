@@ -3,7 +3,7 @@
 use std::{path::PathBuf, str::FromStr};
 
 use chronoxel_ingest::{
-    TimeSeries,
+    Opened, TimeSeries,
     sources::{self, SourceOptions},
 };
 use clap::{Args, builder::NonEmptyStringValueParser};
@@ -89,6 +89,14 @@ impl SourceHints {
     /// Whatever keeps it from being read.
     pub fn open(&self, common: &Common, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
         Ok(sources::open(source, &self.options(common))?)
+    }
+
+    /// Opens a source with these hints, whatever its grid.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub fn open_any(&self, common: &Common, source: &[String]) -> anyhow::Result<Opened> {
+        Ok(sources::open_any(source, &self.options(common))?)
     }
 
     /// The hints, as readers take them.
