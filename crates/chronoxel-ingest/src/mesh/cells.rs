@@ -99,7 +99,7 @@ impl CellList {
     }
 
     /// Bytes held.
-    pub fn num_bytes(&self) -> u64 {
+    fn num_bytes(&self) -> u64 {
         (self.kinds.len() + 4 * self.corners.len() + 8 * self.numbers.len()) as u64
     }
 
@@ -109,7 +109,7 @@ impl CellList {
     }
 
     /// Refuses corners that are no points; the error names the cell.
-    pub(crate) fn check_corners(&self, path: &Path, num_points: usize) -> Result<(), SourceError> {
+    fn check_corners(&self, path: &Path, num_points: usize) -> Result<(), SourceError> {
         if self.corners.iter().all(|&corner| (corner as usize) < num_points) {
             return Ok(());
         }
@@ -122,22 +122,37 @@ impl CellList {
         }
         Ok(())
     }
+}
+
+/// Cells that were compared with each other, ready to be walked.
+pub(crate) struct CheckedCells {
+    list: CellList,
+    excluded: Excluded,
+    colours: Colours,
+}
+
+impl CheckedCells {
+    /// Compares cells of a mesh; the error names a corner that is no point.
+    pub fn new(path: &Path, list: CellList, num_points: usize) -> Result<Self, SourceError> {
+        list.check_corners(path, num_points)?;
+        let excluded = Excluded::of(&list);
+        let colours = Colours::of(&list, &excluded, num_points);
+        Ok(Self { list, excluded, colours })
+    }
 
     /// Hands the tetrahedra of all cells to `visit`, duplicates and whatever lies behind a full face left out.
-    pub(crate) fn for_each_tetrahedron(
+    pub fn for_each_tetrahedron(
         &self,
         path: &Path,
         points: &[[f64; 3]],
         flat_threshold: f64,
         visit: &mut VisitTetrahedron<'_>,
     ) -> Result<MeshCensus, SourceError> {
-        let excluded = Excluded::of(self);
-        let colours = Colours::of(self, &excluded, points.len());
         let mut sieve = Sieve::new(points.len(), flat_threshold, visit);
-        sieve.census.num_duplicate = excluded.num_duplicate;
-        sieve.census.num_non_manifold = excluded.num_non_manifold;
-        sieve.census.cells.without_volume = self.num_without_volume;
-        for (cell, (kind, corners)) in self.iter().enumerate() {
+        sieve.census.num_duplicate = self.excluded.num_duplicate;
+        sieve.census.num_non_manifold = self.excluded.num_non_manifold;
+        sieve.census.cells.without_volume = self.list.num_without_volume;
+        for (cell, (kind, corners)) in self.list.iter().enumerate() {
             let cells = &mut sieve.census.cells;
             *match kind {
                 CellKind::Tetrahedron => &mut cells.tetrahedra,
@@ -145,14 +160,14 @@ impl CellList {
                 CellKind::Wedge => &mut cells.wedges,
                 CellKind::Pyramid => &mut cells.pyramids,
             } += 1;
-            if excluded.contains(cell) {
+            if self.excluded.contains(cell) {
                 continue;
             }
             let mut take = |t: [usize; 4]| {
                 let tetrahedron = t.map(|corner| corners[corner]);
                 sieve.take(kind, tetrahedron, tetrahedron.map(|point| points[point as usize]))
             };
-            let rank = |corner: usize| colours.rank(corners[corner]);
+            let rank = |corner: usize| self.colours.rank(corners[corner]);
             match kind {
                 CellKind::Tetrahedron => take([0, 1, 2, 3])?,
                 CellKind::Hexahedron => {
@@ -167,9 +182,15 @@ impl CellList {
         sieve.finish(path)
     }
 
-    /// Bytes that a walk over the tetrahedra needs beside the cells and `num_points` points.
-    pub(crate) fn walk_bytes(&self, num_points: usize) -> u64 {
-        let num_faces: usize = self.kinds.iter().map(|kind| kind.faces().len()).sum();
-        Excluded::most_bytes(self.len(), num_faces) + Colours::most_bytes(num_points)
+    /// The cells themselves.
+    pub fn list(&self) -> &CellList {
+        &self.list
+    }
+
+    /// The most bytes held by these cells, while they are compared and afterwards.
+    pub fn most_bytes(&self, num_points: usize) -> u64 {
+        let num_faces: usize = self.list.kinds.iter().map(|kind| kind.faces().len()).sum();
+        let compared = Excluded::most_bytes(self.list.len(), num_faces) + Colours::most_bytes(num_points);
+        self.list.num_bytes() + compared
     }
 }

@@ -1,19 +1,21 @@
 //! A mesh that is held in memory: geometry and values.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use chronoxel_core::{Samples, TimeAxis};
 
 use super::sieve::{MAX_POINTS, check_points};
 use super::{
-    Block, Blocks, CellList, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries, VisitTetrahedron,
+    Block, Blocks, CellList, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries,
+    VisitTetrahedron,
 };
 use crate::{SourceError, Variable};
 
+/// What messages name in place of a file.
+const NAME: &str = "mesh in memory";
+
 /// A mesh in memory, as a series.
 pub struct MemoryMesh {
-    /// For messages.
-    name: PathBuf,
     points: Vec<[f64; 3]>,
     topology: Topology,
     times: TimeAxis,
@@ -26,7 +28,7 @@ pub struct MemoryMesh {
 /// What lies between points.
 enum Topology {
     Lattice([usize; 3]),
-    Cells(CellList),
+    Cells(CheckedCells),
 }
 
 impl MemoryMesh {
@@ -56,20 +58,18 @@ impl MemoryMesh {
         cells: CellList,
         times: TimeAxis,
     ) -> Result<Self, SourceError> {
-        let mesh = Self::new(points, Topology::Cells(CellList::default()), times)?;
-        cells.check_corners(&mesh.name, mesh.points.len())?;
-        Ok(Self { topology: Topology::Cells(cells), ..mesh })
+        let cells = CheckedCells::new(Path::new(NAME), cells, points.len())?;
+        Self::new(points, Topology::Cells(cells), times)
     }
 
     fn new(points: Vec<[f64; 3]>, topology: Topology, times: TimeAxis) -> Result<Self, SourceError> {
-        let name = PathBuf::from("mesh in memory");
         if points.is_empty() || points.len() as u64 > MAX_POINTS {
             let remedy = format!("a mesh has 1 to {MAX_POINTS} points");
             return Err(SourceError::argument("number of points", points.len(), remedy));
         }
-        check_points(&name, 0, &points)?;
+        check_points(Path::new(NAME), 0, &points)?;
         let (variables, values) = (Vec::new(), Vec::new());
-        Ok(Self { name, points, topology, times, variables, values, flat_threshold: DEFAULT_FLAT_THRESHOLD })
+        Ok(Self { points, topology, times, variables, values, flat_threshold: DEFAULT_FLAT_THRESHOLD })
     }
 
     /// Adds a variable with its values, one run per step.
@@ -128,10 +128,10 @@ impl MeshSeries for MemoryMesh {
             Topology::Lattice(dims) => {
                 let blocks =
                     Blocks { blocks: vec![Block { dims: *dims, first_point: 0 }], blanked: Vec::new() };
-                blocks.for_each_tetrahedron(&self.name, &self.points, self.flat_threshold, visit)
+                blocks.for_each_tetrahedron(Path::new(NAME), &self.points, self.flat_threshold, visit)
             }
             Topology::Cells(cells) => {
-                cells.for_each_tetrahedron(&self.name, &self.points, self.flat_threshold, visit)
+                cells.for_each_tetrahedron(Path::new(NAME), &self.points, self.flat_threshold, visit)
             }
         }
     }
@@ -147,7 +147,7 @@ impl MeshSeries for MemoryMesh {
         });
         let cells = match &self.topology {
             Topology::Lattice(_) => 0,
-            Topology::Cells(cells) => cells.num_bytes() + cells.walk_bytes(self.points.len()),
+            Topology::Cells(cells) => cells.most_bytes(self.points.len()),
         };
         (24 * self.points.len() + values.sum::<usize>()) as u64 + cells
     }

@@ -16,12 +16,14 @@ use chronoxel_core::{Samples, TimeAxis};
 use serde::Serialize;
 
 pub(crate) use self::blocks::{Block, Blocks, for_each_of_block};
+pub(crate) use self::cells::CheckedCells;
 pub use self::cells::{CellKind, CellList};
 pub use self::census::{CellCounts, MeshCensus};
 pub use self::memory::MemoryMesh;
 pub(crate) use self::selected::SelectedMesh;
 pub use self::sieve::DEFAULT_FLAT_THRESHOLD;
 pub(crate) use self::sieve::Sieve;
+pub(crate) use self::sieve::{MAX_POINTS, check_points};
 use crate::{SourceError, TimeSeries, Variable};
 
 /// What kind of grid a mesh was in its source.

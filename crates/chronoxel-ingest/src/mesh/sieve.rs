@@ -7,8 +7,9 @@ use crate::SourceError;
 
 /// Tetrahedra whose volume is at most this share of the cube of their longest edge are flat.
 ///
-/// A regular tetrahedron has a share of 0.118, a corner of a box with edges 1, 1 and 1000 one of 1.7e-7.
-pub const DEFAULT_FLAT_THRESHOLD: f64 = 1e-7;
+/// A regular tetrahedron has a share of 0.118, a corner of a box with edges 1, 1 and 900 one of 2.1e-7, of one with
+/// edges 1, 1000 and 1000 one of 5.9e-5.
+pub const DEFAULT_FLAT_THRESHOLD: f64 = 1.8e-7;
 
 /// Larger coordinates would overflow the volumes.
 const MAX_COORDINATE: f64 = 1e100;

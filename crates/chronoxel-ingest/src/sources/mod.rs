@@ -5,18 +5,28 @@
 
 mod file_series;
 mod format;
+mod mesh_files;
 mod natural_order;
 mod npy;
 mod nrrd;
 mod nrrd_data;
 mod nrrd_header;
 mod number_text;
+mod plot3d;
+mod plot3d_layout;
 mod pvd;
 mod raw;
 mod samples;
 mod volume_file;
 mod vti;
+mod vtk_arrays;
+mod vtk_cells;
 mod vtk_data;
+mod vtk_legacy;
+mod vtk_legacy_scan;
+mod vtr;
+mod vts;
+mod vtu;
 mod xml;
 mod zarr;
 
@@ -26,6 +36,7 @@ use chronoxel_core::SampleType;
 
 use self::file_series::{FileSeries, select_variables};
 use self::format::Format;
+use self::mesh_files::{FileMesh, MeshFile};
 use self::natural_order::natural_order;
 use self::volume_file::VolumeFile;
 use crate::mesh::{MeshSeries, Opened, SelectedMesh};
@@ -52,6 +63,9 @@ pub struct SourceOptions {
     pub variables: Vec<String>,
     /// The value that means "no data", in place of the files' own.
     pub fill_value: Option<f64>,
+    /// Tetrahedra of a mesh whose volume is at most this share of their cubed longest edge are left out as flat, in place of
+    /// [`DEFAULT_FLAT_THRESHOLD`](crate::mesh::DEFAULT_FLAT_THRESHOLD).
+    pub flat_threshold: Option<f64>,
     /// Memory of the whole run. Buffers that only save time take at most a quarter of it; what is read stays the same.
     pub memory_bytes: Option<u64>,
 }
@@ -122,11 +136,57 @@ pub fn open_any(inputs: &[String], options: &SourceOptions) -> Result<Opened, So
     if let Some(spec) = inputs.iter().find(|input| input.starts_with("sim:")) {
         return open_simulation(spec, inputs.len(), options);
     }
+    let paths = expand(inputs)?;
+    if plot3d::is_plot3d(&paths, options) {
+        return Ok(Opened::Mesh(Box::new(FileMesh::new(plot3d::open(&paths, options)?, options)?)));
+    }
     let mut files = Vec::new();
-    for path in expand(inputs)? {
+    for path in paths {
         files.extend(open_files(&path, options)?);
     }
-    Ok(Opened::Volume(Box::new(FileSeries::new(files, options)?)))
+    join(files, options)
+}
+
+/// One file, opened.
+pub(crate) enum OpenedFile {
+    /// Samples on a uniform grid.
+    Volume(Box<dyn VolumeFile>),
+    /// Values at the points of a mesh.
+    Mesh(Box<dyn MeshFile>),
+}
+
+impl OpenedFile {
+    /// Its path.
+    fn path(&self) -> &Path {
+        match self {
+            Self::Volume(file) => &file.header().path,
+            Self::Mesh(file) => &file.header().path,
+        }
+    }
+}
+
+/// Joins files, at least one, to a series of volumes or of meshes.
+fn join(files: Vec<OpenedFile>, options: &SourceOptions) -> Result<Opened, SourceError> {
+    let kind = |file: &OpenedFile| match file {
+        OpenedFile::Volume(_) => "a uniform grid",
+        OpenedFile::Mesh(_) => "a mesh",
+    };
+    let first = kind(&files[0]);
+    if let Some(other) = files.iter().find(|file| kind(file) != first) {
+        let problem = format!("{} has {first}; all files of a series must agree", files[0].path().display());
+        return Err(SourceError::corrupt(other.path(), "grid", kind(other), problem));
+    }
+    let (mut volumes, mut meshes) = (Vec::new(), Vec::new());
+    for file in files {
+        match file {
+            OpenedFile::Volume(file) => volumes.push(file),
+            OpenedFile::Mesh(file) => meshes.push(file),
+        }
+    }
+    match meshes.is_empty() {
+        true => Ok(Opened::Volume(Box::new(FileSeries::new(volumes, options)?))),
+        false => Ok(Opened::Mesh(Box::new(FileMesh::new(meshes, options)?))),
+    }
 }
 
 /// Opens a built-in simulation, which takes its settings in its name.
@@ -154,7 +214,7 @@ fn open_simulation(spec: &str, num_inputs: usize, options: &SourceOptions) -> Re
 }
 
 /// Opens one path: a collection gives several files.
-fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<Box<dyn VolumeFile>>, SourceError> {
+fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<OpenedFile>, SourceError> {
     match Format::of(path, options)? {
         Format::Pvd => pvd::open(path, options),
         other => Ok(vec![open_file(path, other, options)?]),
@@ -162,25 +222,31 @@ fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<Box<dyn Volume
 }
 
 /// Opens one file of a format that holds samples.
-fn open_file(
-    path: &Path,
-    format: Format,
-    options: &SourceOptions,
-) -> Result<Box<dyn VolumeFile>, SourceError> {
+fn open_file(path: &Path, format: Format, options: &SourceOptions) -> Result<OpenedFile, SourceError> {
     if format != Format::Raw {
         options.check_describes_itself(path, format.name())?;
     }
-    match format {
+    let volume = match format {
         Format::Raw => raw::open(path, options),
         Format::Npy => npy::open(path, options),
         Format::Nrrd => nrrd::open(path),
         Format::Vti => vti::open(path),
         Format::Zarr => zarr::open(path, options),
+        Format::Vts => return vts::open(path).map(OpenedFile::Mesh),
+        Format::Vtr => return vtr::open(path).map(OpenedFile::Mesh),
+        Format::Vtu => return vtu::open(path).map(OpenedFile::Mesh),
+        Format::Vtk => return vtk_legacy::open(path),
+        Format::Plot3d => {
+            let remedy = "it takes its grid from another; name the grid and its solutions together, as in grid.xyz \
+                          step1.q step2.q";
+            Err(SourceError::unsupported(path, "a PLOT3D file", "alone", remedy))
+        }
         Format::Pvd => {
-            let remedy = "a collection cannot hold collections; name the volumes themselves";
+            let remedy = "a collection cannot hold collections; name the files themselves";
             Err(SourceError::unsupported(path, "format", format.name(), remedy))
         }
-    }
+    };
+    volume.map(OpenedFile::Volume)
 }
 
 /// The paths that the inputs name.

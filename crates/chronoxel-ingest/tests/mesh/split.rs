@@ -10,6 +10,9 @@ fn one_step() -> TimeAxis {
     TimeAxis::regular(1, 1.0, "").unwrap()
 }
 
+/// A cell by its corners.
+type Cell = (CellKind, Vec<u32>);
+
 /// Points of a lattice of unit cells.
 fn lattice(dims: [usize; 3]) -> Vec<[f64; 3]> {
     let mut points = Vec::new();
@@ -52,7 +55,7 @@ impl Shuffle {
 }
 
 /// A mesh of cells whose points were renumbered.
-fn renumbered(points: &[[f64; 3]], cells: &[(CellKind, Vec<u32>)], order: &[u32]) -> MemoryMesh {
+fn renumbered(points: &[[f64; 3]], cells: &[Cell], order: &[u32]) -> MemoryMesh {
     let mut moved = vec![[0.0; 3]; points.len()];
     points.iter().enumerate().for_each(|(i, p)| moved[order[i] as usize] = *p);
     let mut list = CellList::default();
@@ -90,7 +93,7 @@ fn hexahedra_of_a_lattice_give_five_each_whatever_the_numbers_of_their_points() 
 }
 
 /// Cuts the unit cells of a lattice into all kinds by turns: hexahedra, pairs of wedges, six pyramids about the centre.
-fn mixed(dims: [usize; 3], kinds: &[usize]) -> (Vec<[f64; 3]>, Vec<(CellKind, Vec<u32>)>) {
+fn mixed(dims: [usize; 3], kinds: &[usize]) -> (Vec<[f64; 3]>, Vec<Cell>) {
     let mut points = lattice(dims);
     let mut cells = Vec::new();
     for (number, c) in hexahedra(dims).into_iter().enumerate() {

@@ -70,6 +70,9 @@ pub struct SourceHints {
     /// Value that means "no data", besides NaN [default: what the file says]
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub fill_value: Option<f64>,
+    /// Leave out tetrahedra of a mesh whose volume is at most this share of their cubed longest edge [default: 1.8e-7]
+    #[arg(long, value_name = "SHARE")]
+    pub flat_threshold: Option<f64>,
 }
 
 impl SourceArgs {
@@ -111,6 +114,7 @@ impl SourceHints {
             dt: self.dt,
             variables: self.variable.clone(),
             fill_value: self.fill_value,
+            flat_threshold: self.flat_threshold,
             memory_bytes: Some(common.memory.0),
         }
     }
