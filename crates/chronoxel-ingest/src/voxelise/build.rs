@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::lattice::{Lattice, SAME_POINT, TOLERANCE};
 use super::map::{BrickMap, MapStore};
 use super::overlap::Shape;
-use super::raster::{Raster, Samples};
+use super::raster::{Raster, Wanted};
 use super::records::{List, Pool, Tetrahedron};
 use crate::EncodeError;
 
@@ -125,7 +125,7 @@ impl<'a> Builder<'a> {
         }
         let must_split = self.must_split(depth, brick, &list)?;
         let is_leaf = !must_split || depth == self.mesh.max_depth;
-        let which = if is_leaf { Samples::All } else { Samples::Apron };
+        let which = if is_leaf { Wanted::All } else { Wanted::Apron };
         let mut raster = Raster::new(depth, brick, self.mesh.layout, which);
         let (mesh, num_tests) = (self.mesh, &self.num_tests);
         let mut children = Children::new(mesh, depth, brick);
@@ -180,7 +180,7 @@ impl<'a> Builder<'a> {
             children.take(part, self.pool)?;
         }
         // The apron's tetrahedra are few: only what is sampled waits.
-        let mut raster = Raster::new(depth, brick, self.mesh.layout, Samples::Apron);
+        let mut raster = Raster::new(depth, brick, self.mesh.layout, Wanted::Apron);
         raster.push(&all, self.mesh.places);
         drop(all);
         self.flush()?;
@@ -228,7 +228,7 @@ impl<'a> Builder<'a> {
 
 impl Job {
     fn sampled(&self, mesh: &Mesh<'_>) -> BrickMap {
-        let which = if self.is_leaf { Samples::All } else { Samples::Apron };
+        let which = if self.is_leaf { Wanted::All } else { Wanted::Apron };
         let mut raster = Raster::new(self.depth, self.brick, mesh.layout, which);
         raster.push(&self.tetrahedra, mesh.places);
         raster.finish()

@@ -1,15 +1,15 @@
 //! From a mesh to bricks (leven2002, section 4): an adaptive octree over its tetrahedra, and a map from every sample to the
 //! tetrahedron that it lies in. Both are made once; a step is computed along the map.
 
-mod apply;
+pub mod apply;
 mod build;
 mod lattice;
-mod map;
+pub mod map;
 mod needs;
-mod overlap;
+pub mod overlap;
 mod points;
-mod raster;
-mod records;
+pub mod raster;
+pub mod records;
 mod step;
 
 use std::path::Path;

@@ -13,7 +13,7 @@ use super::records::Tetrahedron;
 
 /// Which samples of a brick are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Samples {
+pub enum Wanted {
     /// Core and apron.
     All,
     /// The apron: the core comes from elsewhere.
@@ -25,7 +25,7 @@ pub struct Raster {
     full: usize,
     low: usize,
     edge: usize,
-    which: Samples,
+    which: Wanted,
     /// Of the first sample, apron included, in samples of the depth.
     first: [i64; 3],
     /// Samples of the depth for each of the root.
@@ -44,7 +44,7 @@ struct Plane {
 
 impl Raster {
     /// Of brick `[x, y, z]` of a depth, without a tetrahedron yet.
-    pub fn new(depth: u8, brick: [u32; 3], layout: &BrickLayout, which: Samples) -> Self {
+    pub fn new(depth: u8, brick: [u32; 3], layout: &BrickLayout, which: Wanted) -> Self {
         Self {
             full: layout.full_edge(),
             low: layout.low,
@@ -107,7 +107,7 @@ impl Raster {
                 let row = self.full * (y + self.full * z);
                 let core = self.low..self.low + self.edge;
                 let crosses_core =
-                    self.which == Samples::Apron && core.contains(&y) && core.contains(&z);
+                    self.which == Wanted::Apron && core.contains(&y) && core.contains(&z);
                 for x in first..=last {
                     let of_sample = &mut self.of_sample[row + x];
                     if *of_sample == 0 && !(crosses_core && core.contains(&x)) {
@@ -169,7 +169,7 @@ impl Raster {
         let core = self.low..self.low + self.edge;
         let mut runs: Vec<u32> = Vec::new();
         for (r, row) in self.of_sample.chunks(self.full).enumerate() {
-            let crosses_core = self.which == Samples::Apron
+            let crosses_core = self.which == Wanted::Apron
                 && core.contains(&(r % self.full))
                 && core.contains(&(r / self.full));
             let owner = |x: usize| match row[x] {
@@ -264,7 +264,7 @@ mod tests {
             .map(|_| Tetrahedron { vertices: std::array::from_fn(|_| (random() * 60.0) as u32) })
             .collect();
         for (depth, brick) in [(0, [0, 0, 0]), (1, [1, 0, 1]), (2, [1, 2, 0])] {
-            let mut raster = Raster::new(depth, brick, &layout, Samples::All);
+            let mut raster = Raster::new(depth, brick, &layout, Wanted::All);
             mesh.chunks(7).for_each(|part| raster.push(part, &places));
             let map = raster.finish();
             let expected = by_force(brick, depth, &layout, &mesh, &places);
@@ -272,7 +272,7 @@ mod tests {
                 let found = (owner != NO_TETRAHEDRON).then(|| map.tetrahedra[owner as usize]);
                 assert_eq!(found, expected[i].map(|k| mesh[k]), "depth {depth}, sample {i}");
             }
-            let mut apron = Raster::new(depth, brick, &layout, Samples::Apron);
+            let mut apron = Raster::new(depth, brick, &layout, Wanted::Apron);
             apron.push(&mesh, &places);
             let apron = apron.finish();
             let full = layout.full_edge();

@@ -7,6 +7,7 @@ pub mod binotto2003;
 pub mod binotto2003_speed;
 pub mod ellsworth2000;
 mod input;
+pub mod leven2002;
 pub mod lum2001;
 mod stepping;
 mod workplace;

@@ -14,7 +14,7 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, lum2001},
+    bench::{BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, leven2002, lum2001},
     progress::{Counted, Progress},
 };
 
@@ -26,6 +26,7 @@ use crate::{
   chronoxel bench lum2001 --source 'run/density_*.vti' --source 'sim:vortex?dims=96' --json
   chronoxel bench binotto2003 --out results
   chronoxel bench ellsworth2000 --source 'isabel/*.vti'
+  chronoxel bench leven2002 --source bluntfinxyz.bin,bluntfinq.bin --variable density
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
@@ -34,7 +35,8 @@ Benches:
                frames per second at 200 and 500 slices and three sizes of picture, on the CPU and on a GPU where there is one
   ellsworth2000
                the time-space partitioning tree: time to compute its errors, ms per frame and what is drawn how, by metric, tolerance,
-               transfer function and size of brick")]
+               transfer function and size of brick
+  leven2002    octrees over meshes: depth, nodes and bytes, and how they fall with the threshold on the field")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -64,6 +66,8 @@ enum BenchName {
     Binotto2003Speed,
     /// Accelerating time-varying hardware volume rendering using TSP trees and color-based error metrics (Ellsworth, Chiang, Shen, 2000)
     Ellsworth2000,
+    /// Interactive visualization of unstructured grids using hierarchical 3D textures (Leven, Corso, Cohen, Kumar, 2002)
+    Leven2002,
 }
 
 /// Sizes of the simulations.
@@ -87,8 +91,11 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         BenchName::Binotto2003 => binotto2003::sources(&args.source),
         BenchName::Binotto2003Speed => binotto2003_speed::sources(&args.source, size),
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
+        BenchName::Leven2002 => leven2002::sources(&args.source, size),
     };
-    let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
+    let are_meshes = args.name == BenchName::Leven2002;
+    let volumes = names.iter().filter(|_| !are_meshes);
+    let inputs = volumes.map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
         Some(folder) => {
             fs::create_dir_all(folder)
@@ -110,6 +117,10 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
             binotto2003_speed::run(inputs, &place, common.memory.0, &mut progress)?
         }
         BenchName::Ellsworth2000 => ellsworth2000::run(inputs, size, &place, common.memory.0, &mut progress)?,
+        BenchName::Leven2002 => {
+            let options = args.hints.options(common);
+            leven2002::run(&names, &options, size, &place, common.memory.0, &mut progress)?
+        }
     };
     if let Some(bar) = bar {
         bar.finish();
