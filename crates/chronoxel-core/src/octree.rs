@@ -167,6 +167,13 @@ impl Octree {
         NodeId { level: level as u8, morton: self.levels[level][0] }
     }
 
+    /// Whether a node has no children: whether it is the finest data there is.
+    pub fn is_leaf(&self, node: NodeId) -> bool {
+        let Some(below) = usize::from(node.level).checked_sub(1) else { return true };
+        let finer = &self.levels[below];
+        finer.get(finer.partition_point(|m| m >> 3 < node.morton)).is_none_or(|m| m >> 3 != node.morton)
+    }
+
     /// The rank of a node among those of its level, or `None` where it does not exist.
     pub fn rank(&self, node: NodeId) -> Option<usize> {
         self.levels.get(usize::from(node.level))?.binary_search(&node.morton).ok()
@@ -217,5 +224,13 @@ mod tests {
     fn orphans_are_refused() {
         assert!(Octree::from_levels(vec![vec![9], vec![0]]).is_err());
         assert!(Octree::from_levels(vec![vec![1, 3], vec![0]]).is_ok());
+    }
+
+    #[test]
+    fn leaves_are_nodes_without_children() {
+        let tree = Octree::from_levels(vec![vec![9, 17], vec![0, 1, 2], vec![0]]).unwrap();
+        let leaves = |level: u8| tree.nodes(level).iter().map(move |&morton| NodeId { level, morton });
+        let is_leaf: Vec<bool> = (0..3).flat_map(leaves).map(|node| tree.is_leaf(node)).collect();
+        assert_eq!(is_leaf, [true, true, true, false, false, false]);
     }
 }

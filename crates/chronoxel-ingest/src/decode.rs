@@ -98,7 +98,7 @@ impl<'a> StepDecoder<'a> {
     }
 
     /// Core and apron of a node, masked samples NaN.
-    fn full_brick(&self, level: u8, rank: usize) -> Result<Vec<f64>, StoreError> {
+    pub(crate) fn full_brick(&self, level: u8, rank: usize) -> Result<Vec<f64>, StoreError> {
         let span = &self.spans[usize::from(level)][rank];
         let mut samples = match span.kind {
             SpanKind::Empty => return Ok(vec![f64::NAN; self.layout.num_full()]),

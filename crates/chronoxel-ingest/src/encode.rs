@@ -12,7 +12,7 @@ mod budget;
 mod choose;
 mod coding;
 mod cut;
-mod mark;
+pub(crate) mod mark;
 mod moments;
 mod node;
 mod options;
@@ -23,8 +23,9 @@ mod pyramid;
 mod rate;
 pub(crate) mod real;
 mod resume;
-mod scratch;
+pub(crate) mod scratch;
 mod slices;
+mod source;
 mod step;
 pub(crate) mod stream;
 mod timing;
@@ -35,17 +36,19 @@ mod windowed;
 use std::path::Path;
 use std::time::Instant;
 
-use chronoxel_core::{BrickLayout, Octree, SampleType, octree::levels_of};
-use chronoxel_store::{StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
+use chronoxel_core::{BrickLayout, NodeId, Octree, SampleType, octree::levels_of};
+use chronoxel_store::{MeshEntry, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 
-use crate::{EncodeError, TimeSeries};
+use crate::voxelise::{Room, VoxelOptions, Voxels};
+use crate::{EncodeError, MeshSeries, TimeSeries};
 use budget::Portions;
 use output::Output;
 use rate::Spending;
+use source::Source;
 use step::Stepper;
 use stream::StreamPlan;
 use variable::{Before, Coding, How, Places, StepTask, VariableEncoder};
@@ -66,13 +69,82 @@ pub fn encode(
     options: &EncodeOptions,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<EncodeReport, EncodeError> {
-    let started = Instant::now();
     options.check()?;
-    let job = Job::new(series, options)?;
+    encode_source(Source::Volume(series), output, options, progress)
+}
+
+/// Encodes a series on a mesh into the store `output`: voxelises the mesh once, then resamples each step to bricks.
+///
+/// All that is said of [`encode`] holds; the bytes depend on [`EncodeOptions::voxels`] too. The series is read once more before, for
+/// the variation of its values, at most.
+///
+/// # Errors
+/// [`EncodeError`]: see its variants.
+pub fn encode_mesh(
+    mesh: &mut dyn MeshSeries,
+    output: &Path,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<EncodeReport, EncodeError> {
+    options.check()?;
+    if options.codec == Codec::PaletteSlice {
+        return Err(EncodeError::InvalidArgument {
+            argument: "--codec",
+            value: options.codec.name().into(),
+            remedy: "a mesh has no slices: use palette".into(),
+        });
+    }
+    let folder = output.parent().unwrap_or(Path::new("."));
+    let mut voxels = voxels_of(mesh, folder, options)?;
+    let report = *voxels.report();
+    if Job::new(&Source::Mesh(mesh, &voxels), options).is_err() {
+        // What encoding needs comes first; the map can be read from its file.
+        voxels.spill()?;
+    }
+    let encoded = encode_source(Source::Mesh(mesh, &voxels), output, options, progress)?;
+    Ok(EncodeReport { voxels: Some(report), ..encoded })
+}
+
+/// Voxelises a mesh as an encoding with these options does.
+fn voxels_of(
+    mesh: &mut dyn MeshSeries,
+    folder: &Path,
+    options: &EncodeOptions,
+) -> Result<Voxels, EncodeError> {
+    let layout = BrickLayout::new(options.brick_edge)?;
+    let variables = options.choose_variables(mesh.variables(), mesh.times().num_steps())?;
+    let variables: Vec<_> = variables.iter().map(|(index, coding)| (*index, coding.fill_value)).collect();
+    voxelised(mesh, &variables, &layout, &options.voxels, folder, options.memory_bytes)
+}
+
+/// Voxelises a mesh within some memory.
+///
+/// * `variables`: their indices in the series, and what means "no data"
+pub(crate) fn voxelised(
+    mesh: &mut dyn MeshSeries,
+    variables: &[(usize, Option<f64>)],
+    layout: &BrickLayout,
+    options: &VoxelOptions,
+    folder: &Path,
+    memory_bytes: u64,
+) -> Result<Voxels, EncodeError> {
+    let room = budget::voxel_room(mesh, layout, memory_bytes)?;
+    let room = Room { folder, list_bytes: room.list_bytes, map_bytes: room.map_bytes };
+    Voxels::new(mesh, variables, layout, options, room)
+}
+
+fn encode_source(
+    mut source: Source<'_>,
+    output: &Path,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<EncodeReport, EncodeError> {
+    let started = Instant::now();
+    let job = Job::new(&source, options)?;
     let (place, mut writer, first) = Output::open(output, &job.description, options)?;
     let mut report = EncodeReport { raw_bytes: job.raw_bytes(), ..EncodeReport::default() };
     let folder = output.parent().unwrap_or(Path::new("."));
-    match job.run(series, &mut writer, first, folder, &mut report, progress) {
+    match job.run(&mut source, &mut writer, first, folder, &mut report, progress) {
         Ok(()) => writer.finish()?,
         Err(error) => return Err(place.abandon(writer, error)),
     };
@@ -88,36 +160,77 @@ struct Job {
     portions: Portions,
     /// For each variable of the store: its index in the series, and how it is coded.
     variables: Vec<(usize, Coding)>,
+    /// Core samples inside the grid over the nodes of each level.
+    samples: Vec<u64>,
+    num_leaves: u64,
+    /// Numbers that the source has for a step of a variable.
+    num_values: u64,
+    /// Samples of the finest nodes.
+    finest_samples: u64,
+    /// What the cores of nodes above the finest may take in memory, while the bricks of a mesh are made.
+    core_bytes: u64,
 }
 
 impl Job {
-    fn new(series: &dyn TimeSeries, options: &EncodeOptions) -> Result<Self, EncodeError> {
-        let grid = *series.grid();
+    fn new(source: &Source<'_>, options: &EncodeOptions) -> Result<Self, EncodeError> {
+        let grid = *source.grid();
         let layout = BrickLayout::new(options.brick_edge)?;
         let levels = levels_of(&grid, &layout);
-        let variables = options.choose_variables(series.variables(), series.times().num_steps())?;
-        let types = variables.iter().map(|(index, _)| series.variables()[*index].sample_type);
-        let time_tree = TimeTreeEntry::of_grid(&grid);
+        let variables = options.choose_variables(source.variables(), source.times().num_steps())?;
+        let types = variables.iter().map(|(index, _)| source.variables()[*index].sample_type);
+        let sample_type = types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64);
+        let (tree, mesh, finest_samples) = match source {
+            Source::Volume(_) => (Octree::full(&levels), None, grid.num_samples() as u64),
+            Source::Mesh(mesh, voxels) => {
+                let entry = MeshEntry {
+                    kind: mesh.grid_type().name().into(),
+                    num_cells: voxels.report().census.cells.total(),
+                    num_points: mesh.num_points() as u64,
+                };
+                (voxels.tree().clone(), Some(entry), voxels.num_finest_samples())
+            }
+        };
+        let num_threads = rayon::current_num_threads();
+        let core_bytes = if mesh.is_some() { options.memory_bytes / budget::CORE_SHARE } else { 0 };
+        let source_bytes = match source {
+            Source::Volume(series) => series.working_bytes(),
+            Source::Mesh(mesh, voxels) => {
+                let values = 2 * sample_type.num_bytes().max(4) as u64 * mesh.num_points() as u64;
+                mesh.working_bytes() + values + voxels.held_bytes(num_threads) + core_bytes
+            }
+        };
+        let nodes: Vec<u64> = levels.iter().map(|level| tree.nodes(level.level).len() as u64).collect();
+        let num_leaves = levels
+            .iter()
+            .flat_map(|level| {
+                tree.nodes(level.level).iter().map(|&m| NodeId { level: level.level, morton: m })
+            })
+            .filter(|node| tree.is_leaf(*node))
+            .count() as u64;
+        let time_tree = TimeTreeEntry::of_samples(finest_samples);
         let most =
             |of: &dyn Fn(&How) -> u64| variables.iter().map(|(_, coding)| of(&coding.how)).max().unwrap_or(0);
         let task = budget::Task {
             levels: &levels,
             layout: &layout,
-            sample_type: types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64),
-            num_volumes: (variables.len() as u64).saturating_mul(series.times().num_steps() as u64),
-            num_threads: rayon::current_num_threads(),
-            source_bytes: series.working_bytes(),
+            sample_type,
+            num_volumes: (variables.len() as u64).saturating_mul(source.times().num_steps() as u64),
+            num_threads,
+            source_bytes,
+            nodes: &nodes,
+            num_leaves,
+            has_slices: mesh.is_none(),
             window: most(&|how| u64::from(how.window())) as u32,
             copies: most(&How::copies),
             held_nodes: most(&|how| how.held_nodes(&levels[0])),
             held_payload_bytes: most(&How::held_payload_bytes),
             num_variables: variables.len() as u64,
-            num_steps: series.times().num_steps() as u32,
+            num_steps: source.times().num_steps() as u32,
             stride: time_tree.stride,
         };
         let portions = budget::portions(&task, options.memory_bytes)?;
         let described = variables.iter().map(|(index, coding)| {
-            let variable = &series.variables()[*index];
+            let variable = &source.variables()[*index];
             VariableDescription {
                 name: variable.name.clone(),
                 units: variable.units.clone(),
@@ -127,18 +240,31 @@ impl Job {
                 classes: coding.how.classes(&layout),
             }
         });
+        let samples = source::samples_of_levels(&tree, &levels, layout.edge);
         let description = StoreDescription {
             grid,
-            times: series.times().clone(),
+            times: source.times().clone(),
             layout,
-            tree: Octree::full(&levels),
+            tree,
             variables: described.collect(),
             zstd_level: variables.iter().map(|(_, coding)| coding.how.zstd_level()).max().unwrap_or(1),
             time_tree: Some(time_tree),
-            encoder: options.recorded(),
+            encoder: options.recorded(mesh.is_some()),
+            mesh,
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };
-        Ok(Self { description, plan, portions, variables })
+        let num_values = source.num_values();
+        Ok(Self {
+            description,
+            plan,
+            portions,
+            variables,
+            samples,
+            num_leaves,
+            num_values,
+            finest_samples,
+            core_bytes,
+        })
     }
 
     fn num_steps(&self) -> usize {
@@ -148,7 +274,7 @@ impl Job {
     /// Bytes of one step of a variable in the source.
     fn step_bytes(&self, variable: usize) -> u64 {
         let bytes = self.description.variables[variable].sample_type.num_bytes() as u64;
-        bytes.saturating_mul(self.description.grid.num_samples() as u64)
+        bytes.saturating_mul(self.num_values)
     }
 
     fn raw_bytes(&self) -> u64 {
@@ -158,7 +284,7 @@ impl Job {
 
     fn run(
         &self,
-        series: &mut dyn TimeSeries,
+        source: &mut Source<'_>,
         writer: &mut StoreWriter,
         first: u32,
         folder: &Path,
@@ -174,7 +300,7 @@ impl Job {
             done_bytes: report.raw_bytes / self.num_steps() as u64 * start as u64,
             raw_bytes: report.raw_bytes,
         };
-        let mut encoders = self.encoders(series, writer, [start as u32, statistics_first], folder)?;
+        let mut encoders = self.encoders(source, writer, [start as u32, statistics_first], folder)?;
         for step in start..self.num_steps() {
             told.step = step;
             // What is read again for its statistics alone is finished.
@@ -186,7 +312,7 @@ impl Job {
                     progress(Progress { done_bytes, ..told.clone() });
                 };
                 let marks =
-                    encoder.encode_step(series, &self.task(step), writer, &mut self.shares(&mut on_share))?;
+                    encoder.encode_step(source, &self.task(step), writer, &mut self.shares(&mut on_share))?;
                 told.done_bytes += bytes;
                 if !is_finished {
                     report.num_masked += marks.num_masked;
@@ -209,14 +335,16 @@ impl Job {
     /// * `statistics_first`: the one that statistics go on from
     fn encoders(
         &self,
-        series: &dyn TimeSeries,
+        source: &Source<'_>,
         writer: &StoreWriter,
         [start, statistics_first]: [u32; 2],
         folder: &Path,
     ) -> Result<Vec<VariableEncoder<'_>>, EncodeError> {
         let places = Places {
             tree: &self.description.tree,
-            levels: &self.plan.levels,
+            num_leaves: self.num_leaves,
+            samples: &self.samples,
+            source_samples: self.finest_samples,
             layout: &self.description.layout,
             num_steps: self.num_steps() as u32,
             stride: self.description.time_tree.map_or(1, |entry| entry.stride),
@@ -229,7 +357,7 @@ impl Job {
                 spending: Spending::deserialize(&writer.carry()["spending"][variable]).ok(),
                 first: statistics_first,
             };
-            let fits_f32 = series.variables()[*index].sample_type.fits_f32();
+            let fits_f32 = source.variables()[*index].sample_type.fits_f32();
             VariableEncoder::new([*index, variable], coding, fits_f32, &places, before, writer)
         });
         encoders.collect()
@@ -240,13 +368,14 @@ impl Job {
             plan: &self.plan,
             tree: &self.description.tree,
             batch_bricks: self.portions.batch_bricks,
+            core_bytes: self.core_bytes,
         };
         StepTask { stepper, batch_nodes: self.portions.batch_nodes, step: step as u32 }
     }
 
     /// Counts bricks of level 0 into the share of a step that is done.
     fn shares<'a>(&self, on_share: &'a mut dyn FnMut(f64)) -> impl FnMut(u8, usize) + 'a {
-        let num_finest = self.description.tree.nodes(0).len() as f64;
+        let num_finest = self.description.tree.nodes(0).len().max(1) as f64;
         let mut finest_done = 0;
         move |level: u8, num_bricks: usize| {
             if level == 0 {

@@ -5,12 +5,16 @@ pub mod encode;
 pub mod error;
 pub mod export;
 pub mod measure;
+pub mod mesh;
 pub mod series;
 pub mod sim;
 pub mod sources;
+pub mod voxelise;
 
 pub use decode::{StepDecoder, decode_step};
-pub use encode::{Codec, EncodeOptions, EncodeReport, Progress, encode};
+pub use encode::{Codec, EncodeOptions, EncodeReport, Progress, encode, encode_mesh};
 pub use error::{EncodeError, SourceError};
-pub use measure::{Measurement, VariableErrors, measure};
+pub use measure::{Measurement, VariableErrors, measure, measure_mesh};
+pub use mesh::{GridType, MeshCensus, MeshSeries, Opened};
 pub use series::{StepReader, TimeSeries, Variable};
+pub use voxelise::{VoxelOptions, VoxelReport};

@@ -1,13 +1,15 @@
 //! The error of a store against its source: step by step, brick by brick, in bounded memory.
 
-use chronoxel_core::LevelGeometry;
-use chronoxel_store::{Store, StoreError};
+use chronoxel_core::{LevelGeometry, Samples, TimeAxis};
+use chronoxel_store::{Header, Store, StoreError, VariableEntry};
 use rayon::prelude::*;
 
 use crate::decode::StepDecoder;
 use crate::encode::real::Real;
 use crate::encode::stream::{Layer, StreamPlan, stream};
-use crate::{EncodeError, TimeSeries};
+use crate::encode::voxelised;
+use crate::voxelise::{MeshStep, VoxelOptions, Voxels};
+use crate::{EncodeError, MeshSeries, TimeSeries, Variable};
 
 /// Errors of one variable on values scaled to [0, 1] by its range in the store.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,34 +61,52 @@ pub fn measure(
     let header = store.header();
     check_same(store, series)?;
     let bits = 8.0 * store.stored_bytes()? as f64 / header.grid.num_samples() as f64;
-    let num_measured = header.num_steps_finished.max(1) as usize * header.variables.len();
-    let mut problems = Vec::new();
-    let mut variables: Vec<_> = header
-        .variables
-        .iter()
-        .map(|v| VariableErrors {
-            name: v.name.clone(),
+    let mut errors = Errors::new(header, bits);
+    // Step by step over all variables, in the order in which a simulation gives them.
+    for step in steps {
+        for variable in 0..header.variables.len() {
+            errors.take(variable, step, measure_step(store, series, variable, step)?);
+        }
+    }
+    Ok(errors.finish())
+}
+
+/// Errors of all variables, as they are found.
+struct Errors {
+    variables: Vec<VariableErrors>,
+    problems: Vec<String>,
+}
+
+impl Errors {
+    /// * `bits`: of the store, for each sample of a step
+    fn new(header: &Header, bits: f64) -> Self {
+        let num_measured = header.num_steps_finished.max(1) as usize * header.variables.len();
+        let of_variable = |name: &str| VariableErrors {
+            name: name.to_owned(),
             mse: Vec::new(),
             max_abs_error: 0.0,
             bits_per_sample: bits / num_measured as f64,
-        })
-        .collect();
-    // Step by step over all variables, in the order in which a simulation gives them.
-    for step in steps {
-        for (variable, errors) in variables.iter_mut().enumerate() {
-            let found = measure_step(store, series, variable, step)?;
-            errors.mse.push(if found.count > 0 { found.squares / found.count as f64 } else { 0.0 });
-            errors.max_abs_error = errors.max_abs_error.max(found.largest);
-            if let Some((at, total)) = found.first_mismatch.map(|at| (at, found.num_mismatches)) {
-                problems.push(format!(
-                    "variable {}, step {step}: {total} samples are masked in the source or the store alone, \
-                     the first at ({}, {}, {})",
-                    errors.name, at[0], at[1], at[2]
-                ));
-            }
+        };
+        let variables = header.variables.iter().map(|v| of_variable(&v.name)).collect();
+        Self { variables, problems: Vec::new() }
+    }
+
+    fn take(&mut self, variable: usize, step: usize, found: Found) {
+        let errors = &mut self.variables[variable];
+        errors.mse.push(if found.count > 0 { found.squares / found.count as f64 } else { 0.0 });
+        errors.max_abs_error = errors.max_abs_error.max(found.largest);
+        if let Some((at, total)) = found.first_mismatch.map(|at| (at, found.num_mismatches)) {
+            self.problems.push(format!(
+                "variable {}, step {step}: {total} samples are masked in the source or the store alone, \
+                 the first at ({}, {}, {})",
+                errors.name, at[0], at[1], at[2]
+            ));
         }
     }
-    Ok(Measurement { variables, problems })
+
+    fn finish(self) -> Measurement {
+        Measurement { variables: self.variables, problems: self.problems }
+    }
 }
 
 /// Sums over some samples.
@@ -127,6 +147,105 @@ impl Found {
     }
 }
 
+/// Measures the errors of `steps` of a store against the mesh it was made from: of every core sample of every node without
+/// children. Voxelises the mesh again, with the options that the store records, within `memory_bytes`.
+///
+/// # Errors
+/// [`EncodeError::InvalidArgument`] if the source is another mesh, has other times or lacks a variable; else of the
+/// source or the store.
+pub fn measure_mesh(
+    store: &Store,
+    mesh: &mut dyn MeshSeries,
+    memory_bytes: u64,
+    steps: impl Iterator<Item = usize> + Clone,
+) -> Result<Measurement, EncodeError> {
+    let header = store.header();
+    let voxels = voxels_of_store(store, mesh, memory_bytes)?;
+    let bits = 8.0 * store.stored_bytes()? as f64 / voxels.num_finest_samples() as f64;
+    let mut errors = Errors::new(header, bits);
+    for step in steps {
+        for (variable, entry) in header.variables.iter().enumerate() {
+            let index = index_of(mesh.variables(), &entry.name)?;
+            let values = mesh.read_values(index, step)?;
+            let decoder = StepDecoder::new(store, variable, step)?;
+            let per_range = per_range(entry);
+            let found = match entry.sample_type.fits_f32() {
+                true => compare_mesh::<f32>(&voxels, values, entry.fill_value, &decoder, per_range),
+                false => compare_mesh::<f64>(&voxels, values, entry.fill_value, &decoder, per_range),
+            }?;
+            errors.take(variable, step, found);
+        }
+    }
+    Ok(errors.finish())
+}
+
+fn voxels_of_store(
+    store: &Store,
+    mesh: &mut dyn MeshSeries,
+    memory_bytes: u64,
+) -> Result<Voxels, EncodeError> {
+    let header = store.header();
+    check_axes(store, mesh.times(), mesh.variables())?;
+    let other = |what: &str| EncodeError::InvalidArgument {
+        argument: "--against",
+        value: format!("is a mesh with {} points", mesh.num_points()),
+        remedy: format!("the store {what}: it is not the source of this store"),
+    };
+    let Some(entry) = &header.mesh else { return Err(other("was made from a uniform grid")) };
+    if entry.num_points != mesh.num_points() as u64 {
+        return Err(other(&format!("was made from one with {}", entry.num_points)));
+    }
+    let differs = other("has other nodes than it gives");
+    let number = |name: &str| header.encoder[name].as_f64();
+    let defaults = VoxelOptions::default();
+    let options = VoxelOptions {
+        field_threshold: number("field_threshold").unwrap_or(defaults.field_threshold),
+        max_depth: number("max_depth").map_or(defaults.max_depth, |depth| depth as u8),
+    };
+    let indices = header.variables.iter().map(|v| Ok((index_of(mesh.variables(), &v.name)?, v.fill_value)));
+    let variables = indices.collect::<Result<Vec<_>, EncodeError>>()?;
+    let folder = std::env::temp_dir();
+    let voxels = voxelised(mesh, &variables, &header.bricks, &options, &folder, memory_bytes)?;
+    match voxels.tree() == store.tree() && *voxels.grid() == header.grid {
+        true => Ok(voxels),
+        false => Err(differs),
+    }
+}
+
+fn compare_mesh<T: Real>(
+    voxels: &Voxels,
+    values: Samples,
+    fill_value: Option<f64>,
+    decoder: &StepDecoder<'_>,
+    per_range: f64,
+) -> Result<Found, EncodeError> {
+    let layout = voxels.layout();
+    let values = T::from_samples(values).expect("the kind of samples follows from their type");
+    let mut step = MeshStep::new(voxels, values, fill_value, voxels.core_scratch::<T>(CORE_BYTES)?);
+    let mut all = Found::default();
+    for batch in MeshStep::<T>::batches(voxels, 4 * rayon::current_num_threads()) {
+        let geometry = &voxels.levels()[usize::from(batch.level)];
+        let compare = |rank: u32, brick: [usize; 3], samples: &mut Vec<T>| {
+            let mut found = Found::default();
+            if voxels.is_leaf(batch.level, rank as usize) {
+                let decoded = decoder.full_brick(batch.level, rank as usize)?;
+                for i in geometry.core_inside(brick, layout).into_iter().map(|i| i as usize) {
+                    let full = layout.full_edge();
+                    let place = [i % full, i / full % full, i / full / full];
+                    let first = |a: usize| (brick[a] * layout.edge + place[a] - layout.low) << batch.level;
+                    found.compare(samples[i].to_f64(), decoded[i], per_range, || std::array::from_fn(first));
+                }
+            }
+            Ok(found)
+        };
+        all = step.make(&batch, &compare)?.into_iter().fold(all, Found::merged);
+    }
+    Ok(all)
+}
+
+/// What cores of nodes with children take in memory while a step is measured.
+const CORE_BYTES: u64 = 64 << 20;
+
 fn measure_step(
     store: &Store,
     series: &mut dyn TimeSeries,
@@ -134,10 +253,8 @@ fn measure_step(
     step: usize,
 ) -> Result<Found, EncodeError> {
     let entry = &store.header().variables[variable];
-    let index = index_of(series, &entry.name)?;
-    let [low, high] = [entry.min.unwrap_or(0.0), entry.max.unwrap_or(0.0)];
-    let width = 2.0 * (0.5 * high - 0.5 * low);
-    let per_range = if width > 0.0 { 1.0 / width } else { 1.0 };
+    let index = index_of(series.variables(), &entry.name)?;
+    let per_range = per_range(entry);
     let decoder = StepDecoder::new(store, variable, step)?;
     let finest: LevelGeometry = store.header().geometry()[0];
     let plan = StreamPlan { levels: vec![finest], layout: store.header().bricks, slab_slices: 4 };
@@ -185,8 +302,15 @@ fn compare_layer<T: Real>(
     Ok(())
 }
 
-fn index_of(series: &dyn TimeSeries, name: &str) -> Result<usize, EncodeError> {
-    let names: Vec<&str> = series.variables().iter().map(|v| v.name.as_str()).collect();
+/// What scales differences to the range of a variable.
+fn per_range(entry: &VariableEntry) -> f64 {
+    let [low, high] = [entry.min.unwrap_or(0.0), entry.max.unwrap_or(0.0)];
+    let width = 2.0 * (0.5 * high - 0.5 * low);
+    if width > 0.0 { 1.0 / width } else { 1.0 }
+}
+
+fn index_of(variables: &[Variable], name: &str) -> Result<usize, EncodeError> {
+    let names: Vec<&str> = variables.iter().map(|v| v.name.as_str()).collect();
     names.iter().position(|n| *n == name).ok_or_else(|| {
         let remedy = format!("the source has {}: it is not the source of this store", names.join(", "));
         EncodeError::InvalidArgument { argument: "--against: variable", value: name.to_owned(), remedy }
@@ -196,25 +320,32 @@ fn index_of(series: &dyn TimeSeries, name: &str) -> Result<usize, EncodeError> {
 /// Checks that the source can be that of the store.
 fn check_same(store: &Store, series: &dyn TimeSeries) -> Result<(), EncodeError> {
     let header = store.header();
-    let other = |what: &str, theirs: String, ours: String| {
-        Err(EncodeError::InvalidArgument {
-            argument: "--against",
-            value: format!("with {what} {theirs}"),
-            remedy: format!("the store has {ours}: it is not the source of this store"),
-        })
-    };
-    if series.grid().dims != header.grid.dims {
-        return other("dimensions", format!("{:?}", series.grid().dims), format!("{:?}", header.grid.dims));
+    let dims = |mesh: bool, dims: [usize; 3]| if mesh { "of a mesh".to_owned() } else { format!("{dims:?}") };
+    if series.grid().dims != header.grid.dims || header.mesh.is_some() {
+        let (theirs, ours) = (dims(false, series.grid().dims), dims(header.mesh.is_some(), header.grid.dims));
+        return Err(other("dimensions", theirs, ours));
     }
-    if series.times().num_steps() != header.times.num_steps() {
-        let (theirs, ours) = (series.times().num_steps(), header.times.num_steps());
-        return other("number of steps", theirs.to_string(), ours.to_string());
+    check_axes(store, series.times(), series.variables())
+}
+
+fn other(what: &str, theirs: String, ours: String) -> EncodeError {
+    EncodeError::InvalidArgument {
+        argument: "--against",
+        value: format!("with {what} {theirs}"),
+        remedy: format!("the store has {ours}: it is not the source of this store"),
+    }
+}
+
+fn check_axes(store: &Store, times: &TimeAxis, variables: &[Variable]) -> Result<(), EncodeError> {
+    let header = store.header();
+    if times.num_steps() != header.times.num_steps() {
+        let (theirs, ours) = (times.num_steps(), header.times.num_steps());
+        return Err(other("number of steps", theirs.to_string(), ours.to_string()));
     }
     for variable in &header.variables {
-        let index = index_of(series, &variable.name)?;
-        let theirs = series.variables()[index].sample_type;
+        let theirs = variables[index_of(variables, &variable.name)?].sample_type;
         if theirs != variable.sample_type {
-            return other("sample type", theirs.to_string(), variable.sample_type.to_string());
+            return Err(other("sample type", theirs.to_string(), variable.sample_type.to_string()));
         }
     }
     Ok(())

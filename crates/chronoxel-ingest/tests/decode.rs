@@ -60,6 +60,7 @@ fn adaptive_store(folder: &std::path::Path, mask: Option<BitMask>) -> Store {
         }],
         zstd_level: 1,
         time_tree: None,
+        mesh: None,
         encoder: serde_json::Value::Null,
     };
     let mut writer = StoreWriter::create(&path, &description, false).unwrap();

@@ -102,6 +102,7 @@ fn whole(layout: &BrickLayout, bricks: &[Vec<f32>], bits: u8, folder: &Path) {
         }],
         zstd_level: 1,
         time_tree: None,
+        mesh: None,
         encoder: serde_json::Value::Null,
     };
     let path = folder.join("bench.cxl");

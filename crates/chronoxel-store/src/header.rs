@@ -54,6 +54,8 @@ pub struct StoreDescription {
     pub zstd_level: i32,
     /// How the statistics of the time tree are made; `None` for a store without them.
     pub time_tree: Option<TimeTreeEntry>,
+    /// What the grid was in the source, where it was a mesh.
+    pub mesh: Option<MeshEntry>,
     /// Options of the encoder and the name of the source: kept as they are, and compared by a resume.
     pub encoder: Value,
 }
@@ -87,6 +89,9 @@ pub struct Header {
     /// How the statistics of the time tree were made; stores without them do not have the field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_tree: Option<TimeTreeEntry>,
+    /// What the grid was in the source; stores of uniform grids do not have the field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<MeshEntry>,
     /// Steps `0 .. num_steps_finished` can be read.
     pub num_steps_finished: u32,
     /// What is stored.
@@ -113,10 +118,30 @@ pub struct TimeTreeEntry {
     pub stride: u32,
 }
 
+/// A grid of the source that is not uniform, which was resampled to the grid of the store.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeshEntry {
+    /// `rectilinear`, `curvilinear` or `tetrahedral`.
+    pub kind: String,
+    /// Its cells.
+    pub num_cells: u64,
+    /// Its points: the values of one step of a variable.
+    pub num_points: u64,
+}
+
+/// The longest side of a mesh over the default unit of opacity: as of a volume of so many samples.
+const MESH_UNITS: f64 = 128.0;
+
 impl TimeTreeEntry {
     /// Of a grid: the smallest stride with which at most 2^20 samples take part in the temporal error, 4 where none is.
     pub fn of_grid(grid: &UniformGrid) -> Self {
-        let is_enough = |stride: &u32| grid.num_samples() as u64 <= u64::from(stride.pow(3)) << 20;
+        Self::of_samples(grid.num_samples() as u64)
+    }
+
+    /// Of so many finest samples.
+    pub fn of_samples(num_samples: u64) -> Self {
+        let is_enough = |stride: &u32| num_samples <= u64::from(stride.pow(3)) << 20;
         Self { stride: [1, 2].into_iter().find(is_enough).unwrap_or(4) }
     }
 }
@@ -183,7 +208,24 @@ impl Header {
     /// Bytes of the source's samples, over all variables and steps.
     pub fn raw_bytes(&self) -> u64 {
         let step: u64 = self.variables.iter().map(|v| v.sample_type.num_bytes() as u64).sum();
-        (self.grid.num_samples() as u64).saturating_mul(step).saturating_mul(u64::from(self.num_steps()))
+        self.num_values().saturating_mul(step).saturating_mul(u64::from(self.num_steps()))
+    }
+
+    /// Numbers that the source has for a step of a variable: samples of the grid, or points of the mesh.
+    pub fn num_values(&self) -> u64 {
+        self.mesh.as_ref().map_or(self.grid.num_samples() as u64, |mesh| mesh.num_points)
+    }
+
+    /// The length over which opacities of transfer functions are meant, where they do not say: the smallest spacing, or of a mesh, whose
+    /// finest bricks may be few, a part of its longest side.
+    pub fn opacity_unit(&self) -> f64 {
+        match &self.mesh {
+            None => self.grid.smallest_spacing(),
+            Some(_) => {
+                let [low, high] = self.grid.bounds();
+                (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max) / MESH_UNITS
+            }
+        }
     }
 
     /// The index of a variable by name.
@@ -198,7 +240,7 @@ impl Header {
 
     /// The header of a store of which nothing is written yet.
     pub(crate) fn of_description(description: &StoreDescription) -> Result<Self, StoreError> {
-        let StoreDescription { grid, times, layout, tree, variables, zstd_level, time_tree, encoder } =
+        let StoreDescription { grid, times, layout, tree, variables, zstd_level, time_tree, mesh, encoder } =
             description;
         let geometry = levels_of(grid, layout);
         if tree.num_levels() != geometry.len() {
@@ -236,6 +278,7 @@ impl Header {
             sparse: true,
             zstd_level: *zstd_level,
             time_tree: *time_tree,
+            mesh: mesh.clone(),
             num_steps_finished: 0,
             totals: Totals::default(),
             encoder: encoder.clone(),
@@ -293,6 +336,11 @@ impl Header {
             && ![1, 2, 4].contains(&stride)
         {
             return problem("time_tree.stride", &stride, "use 1, 2 or 4");
+        }
+        if let Some(MeshEntry { kind, .. }) = &self.mesh
+            && !["rectilinear", "curvilinear", "tetrahedral"].contains(&kind.as_str())
+        {
+            return problem("mesh.kind", kind, "use rectilinear, curvilinear or tetrahedral");
         }
         if self.variables.is_empty() || self.variables.len() > MAX_VARIABLES {
             return problem("number of variables", &self.variables.len(), "use 1 to 1024");

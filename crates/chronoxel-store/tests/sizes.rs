@@ -48,6 +48,7 @@ fn description(edge: usize, dims: [usize; 3], num_steps: u32) -> StoreDescriptio
         }],
         zstd_level: 1,
         time_tree: None,
+        mesh: None,
         encoder: serde_json::json!({ "codec": "auto", "max_error": 0.004, "window": 16, "source": "sim:plume" }),
     }
 }

@@ -3,7 +3,8 @@
 use chronoxel_core::{BrickLayout, LevelGeometry, SampleType};
 
 use super::moments;
-use crate::EncodeError;
+use crate::voxelise::Voxels;
+use crate::{EncodeError, MeshSeries};
 
 /// The portions in which a step is read and its bricks are coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,6 +52,12 @@ pub struct Task<'a> {
     pub num_threads: usize,
     /// What the source holds besides the slices that it hands over.
     pub source_bytes: u64,
+    /// Nodes of each level.
+    pub nodes: &'a [u64],
+    /// Nodes without children.
+    pub num_leaves: u64,
+    /// Whether steps stream past in slices.
+    pub has_slices: bool,
     /// Steps of a window; 1 where each step is coded as it comes.
     pub window: u32,
     /// Copies of a window's samples that coding one node holds, payloads included; 0 where each step is coded as it comes.
@@ -97,6 +104,44 @@ pub fn portions(task: &Task<'_>, memory_bytes: u64) -> Result<Portions, EncodeEr
     Ok(Portions { slab_slices, batch_bricks, batch_nodes, scratch_bytes: left - left / 16 })
 }
 
+/// What of the memory the cores of nodes above the finest may take, as a divisor.
+pub const CORE_SHARE: u64 = 16;
+
+/// What voxelising a mesh may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct VoxelRoom {
+    /// For lists of tetrahedra, until the tree is built.
+    pub list_bytes: u64,
+    /// For the sampling map, as long as steps are encoded.
+    pub map_bytes: u64,
+}
+
+/// Shares the memory between what a mesh needs and what goes to files beyond it.
+///
+/// # Errors
+/// [`EncodeError::Memory`] if the points of the mesh do not fit.
+pub fn voxel_room(
+    mesh: &dyn MeshSeries,
+    layout: &BrickLayout,
+    memory_bytes: u64,
+) -> Result<VoxelRoom, EncodeError> {
+    let num_threads = rayon::current_num_threads() as u64;
+    let points = Voxels::BYTES_PER_POINT.saturating_mul(mesh.num_points() as u64);
+    let source_bytes = points.saturating_add(mesh.working_bytes());
+    // For each thread the samples of a brick, as numbers and as runs; and the voxels of a node.
+    let bricks = 24 * layout.num_full() as u64 * num_threads;
+    let fixed = FIXED_BYTES + THREAD_BYTES * num_threads;
+    let least = source_bytes.saturating_add(bricks + fixed + LEAST_LIST_BYTES);
+    let needed = least.saturating_add(least / 16);
+    match memory_bytes.checked_sub(needed) {
+        None => Err(EncodeError::Memory { given: memory_bytes, needed, source_bytes }),
+        Some(left) => Ok(VoxelRoom { list_bytes: LEAST_LIST_BYTES + left / 2, map_bytes: left / 4 }),
+    }
+}
+
+/// Lists of tetrahedra are no shorter than it takes to work on them.
+const LEAST_LIST_BYTES: u64 = 4 << 20;
+
 impl Task<'_> {
     fn held_bytes(&self) -> u64 {
         if self.sample_type.fits_f32() { 4 } else { 8 }
@@ -119,6 +164,9 @@ impl Task<'_> {
 
     /// The windows of all levels, the slab that the reader holds, and what the reader itself needs to make it.
     fn slices_bytes(&self, slab: usize) -> u64 {
+        if !self.has_slices {
+            return 0;
+        }
         let raw = self.sample_type.num_bytes() as u64;
         let mut bytes = area(&self.levels[0]).saturating_mul(slab as u64 * (self.held_bytes() + raw));
         for level in self.levels {
@@ -158,11 +206,11 @@ impl Task<'_> {
         let threads = (self.num_threads as u64).saturating_mul(moments::BUFFERS * self.held_bytes());
         let waiting = moments::WAITING_BYTES.saturating_mul(self.num_variables);
         let of_node = waiting.saturating_add(moments::closing_bytes(self.num_steps, self.num_variables));
-        samples.saturating_mul(threads).saturating_add(nodes_of(&self.levels[0]).saturating_mul(of_node))
+        samples.saturating_mul(threads).saturating_add(self.num_leaves.saturating_mul(of_node))
     }
 
     fn num_nodes(&self) -> u64 {
-        self.levels.iter().map(nodes_of).fold(0, u64::saturating_add)
+        self.nodes.iter().copied().fold(0, u64::saturating_add)
     }
 
     fn writer_bytes(&self) -> u64 {
@@ -179,10 +227,6 @@ fn largest(most: usize, fits: impl Fn(usize) -> bool) -> usize {
         n /= 2;
     }
     n.max(1)
-}
-
-fn nodes_of(level: &LevelGeometry) -> u64 {
-    level.bricks.iter().map(|&n| n as u64).product()
 }
 
 fn area(level: &LevelGeometry) -> u64 {
@@ -205,6 +249,9 @@ mod tests {
             num_volumes: 1,
             num_threads: 2,
             source_bytes: 0,
+            nodes: &[32_768, 4096, 512, 64, 8, 1],
+            num_leaves: 32_768,
+            has_slices: true,
             window: 1,
             copies: 0,
             held_nodes: 0,

@@ -1,6 +1,6 @@
 //! Statistics of every octree node over every node of the time tree (ellsworth2000, eq. 1–6), while steps stream past.
 //!
-//! Each finest brick has a run of steps waiting at some levels of its time tree, as a binary counter has its bits: a step is a run of
+//! Each finest brick, a node without children, has a run of steps waiting at some levels of its time tree, as a binary counter has its bits: a step is a run of
 //! one, and two halves are merged as soon as the second is over. At the end of the series what is left is merged as it is, so that
 //! the last nodes are cut to the series. A run knows its statistics, hashes of what it holds, and of every sample
 //! ([`samples`]) the mean and the deviation in time; these wait in files ([`carried`]). What closes is merged up the octree
@@ -28,6 +28,7 @@ use crate::EncodeError;
 use carried::{Carried, KEPT_FROM, ShortRuns};
 use run::{Held, Known, Run};
 use samples::{ErrorSum, Merging};
+use tree::Leaves;
 
 /// Statistics go on from a multiple of so many steps after an interruption.
 pub const KEPT_STEPS: u32 = 1 << KEPT_FROM;
@@ -67,6 +68,8 @@ pub struct TimeMoments<T> {
     variable: usize,
     /// The first step that statistics go on from: those before have theirs.
     first: u32,
+    leaves: Leaves,
+    /// Of the leaves.
     nodes: Vec<Mutex<Node<T>>>,
     carried: Carried,
     /// Those that no thread uses.
@@ -99,7 +102,8 @@ impl<T: Real> TimeMoments<T> {
         writer: &StoreWriter,
     ) -> Result<Self, EncodeError> {
         let Places { tree, layout, stride, num_steps, folder, .. } = *places;
-        let num_nodes = tree.nodes(0).len();
+        let leaves = Leaves::new(tree);
+        let num_nodes = leaves.len();
         let block_bytes = (2 * samples_of_brick(layout, stride) * size_of::<T>()) as u64;
         let mut carried = Carried::new(variable, num_nodes, block_bytes, folder, in_memory)?;
         if first < num_steps {
@@ -111,6 +115,7 @@ impl<T: Real> TimeMoments<T> {
             stride: stride as usize,
             variable,
             first,
+            leaves,
             nodes: (0..num_nodes)
                 .map(|_| Mutex::new(Node { short: ShortRuns::default(), closed: Vec::new() }))
                 .collect(),
@@ -122,7 +127,7 @@ impl<T: Real> TimeMoments<T> {
     /// Bytes of the samples of short runs, at most.
     pub fn short_bytes(places: &Places<'_>) -> u64 {
         let samples = 2 * samples_of_brick(places.layout, places.stride) as u64;
-        let num_nodes = places.tree.nodes(0).len() as u64;
+        let num_nodes = places.num_leaves;
         u64::from(KEPT_FROM) * num_nodes * samples * size_of::<T>() as u64
     }
 
@@ -144,12 +149,10 @@ impl<T: Real> TimeMoments<T> {
     ///
     /// * `value_range`: largest minus smallest value of the variable, for the guard of small means
     pub fn take(&self, brick: &CutBrick<'_, T>, step: u32, value_range: f64) -> Result<(), EncodeError> {
-        if brick.geometry.level > 0 || step < self.first {
-            return Ok(());
-        }
+        let leaf = self.leaves.number(brick.geometry.level, brick.rank as usize);
+        let Some(rank) = leaf.filter(|_| step >= self.first) else { return Ok(()) };
         let free = self.buffers.lock().expect("no one panics while holding buffers").pop();
         let mut buffers = free.unwrap_or(Buffers { left: Vec::new(), right: Vec::new() });
-        let rank = brick.rank as usize;
         let core = Core::new(brick.samples, brick.brick, brick.geometry, &self.layout);
         let num_samples = core.num_strided(self.stride);
         let mut node = self.nodes[rank].lock().expect("no one panics while holding a node");
@@ -173,8 +176,9 @@ impl<T: Real> TimeMoments<T> {
             ));
         }
         for (place, at) in TimeNode::closed_by(step, self.num_steps).enumerate() {
-            let finest = closed.iter().map(|closed| closed[place]).collect();
-            writer.put_statistics(self.variable, at, &tree::of_all_nodes(finest, tree))?;
+            let of_leaves: Vec<Known> = closed.iter().map(|closed| closed[place]).collect();
+            let of_nodes = tree::of_all_nodes(&of_leaves, &self.leaves, tree);
+            writer.put_statistics(self.variable, at, &of_nodes)?;
             if at.level > KEPT_FROM {
                 self.carried.forget(at.halves()[0], writer);
             }
@@ -315,7 +319,7 @@ mod tests {
     use chronoxel_core::Samples;
     use chronoxel_store::{Store, TimeTreeEntry};
 
-    use super::super::{Codec, EncodeOptions, EncodeReport, Job};
+    use super::super::{Codec, EncodeOptions, EncodeReport, Job, Source};
     use super::*;
     use crate::{TimeSeries, sim};
 
@@ -326,11 +330,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.cxl");
         let options = EncodeOptions { codec: Codec::Raw, brick_edge: 8, ..EncodeOptions::default() };
-        let mut job = Job::new(series, &options).unwrap();
+        let mut source = Source::Volume(series);
+        let mut job = Job::new(&source, &options).unwrap();
         job.description.time_tree = Some(TimeTreeEntry { stride });
         let mut writer = StoreWriter::create(&path, &job.description, false).unwrap();
         let mut report = EncodeReport::default();
-        job.run(series, &mut writer, 0, folder.path(), &mut report, &mut |_| {}).unwrap();
+        job.run(&mut source, &mut writer, 0, folder.path(), &mut report, &mut |_| {}).unwrap();
         writer.finish().unwrap();
         let store = Store::open(&path).unwrap();
         // Chunks of statistics stay in the store's cache when the folder goes: read them all.

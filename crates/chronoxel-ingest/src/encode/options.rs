@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::palettes::PaletteKind;
 use super::variable::{Coding, How};
 use super::windowed::Method;
+use crate::voxelise::{VoxelOptions, VoxelReport};
 use crate::{EncodeError, Variable};
 
 /// How bricks are coded.
@@ -66,6 +67,8 @@ pub struct EncodeOptions {
     pub fill_value: Option<f64>,
     /// Name of the source: recorded, and compared by a resume.
     pub source_name: String,
+    /// How a mesh becomes bricks.
+    pub voxels: VoxelOptions,
 }
 
 impl Default for EncodeOptions {
@@ -84,6 +87,7 @@ impl Default for EncodeOptions {
             resume: false,
             fill_value: None,
             source_name: String::new(),
+            voxels: VoxelOptions::default(),
         }
     }
 }
@@ -118,6 +122,8 @@ pub struct EncodeReport {
     pub num_masked: u64,
     /// Infinities among them.
     pub num_infinite: u64,
+    /// What voxelising did, where the source is a mesh.
+    pub voxels: Option<VoxelReport>,
 }
 
 impl EncodeOptions {
@@ -256,8 +262,8 @@ impl EncodeOptions {
     }
 
     /// What the store's header records, and a resume compares.
-    pub(super) fn recorded(&self) -> Value {
-        json!({
+    pub(super) fn recorded(&self, is_mesh: bool) -> Value {
+        let mut recorded = json!({
             "program": concat!("chronoxel ", env!("CARGO_PKG_VERSION")),
             "source": self.source_name,
             "codec": self.codec.name(),
@@ -266,6 +272,11 @@ impl EncodeOptions {
             "stages": self.stages,
             "max_error": self.max_error,
             "range": self.range,
-        })
+        });
+        if is_mesh {
+            recorded["field_threshold"] = self.voxels.field_threshold.into();
+            recorded["max_depth"] = self.voxels.max_depth.into();
+        }
+        recorded
     }
 }

@@ -5,7 +5,6 @@
 
 use chronoxel_codec::rate::{CodedPiece, RateOptions, RatePoint, Run, choose_points, rate_points};
 use chronoxel_codec::{CodecError, PayloadClass, decode_f64, decoded_range, stage_to_bytes};
-use chronoxel_core::LevelGeometry;
 use chronoxel_store::stored_len;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -54,15 +53,16 @@ pub struct Spending {
 impl Spending {
     /// At the start of a series.
     ///
-    /// * `bits`: stored bits per source sample and step, on average over the series
-    pub fn new(bits: f64, levels: &[LevelGeometry], num_steps: u32) -> Self {
-        let of_level = |level: &LevelGeometry| level.dims.iter().map(|&n| n as f64).product::<f64>();
+    /// * `bits`: stored bits per finest sample and step, on average over the series
+    /// * `finest`: number of finest samples
+    /// * `levels`: number of samples of each level
+    pub fn new(bits: f64, finest: u64, levels: &[u64], num_steps: u32) -> Self {
         let num_steps = f64::from(num_steps);
-        let all = bits / 8.0 * of_level(&levels[0]) * num_steps;
+        let all = bits / 8.0 * finest as f64 * num_steps;
         let overhead = HEADER_BYTES + LEVEL_BYTES * levels.len() as f64;
         Self {
             budget_bytes: (all - overhead).max(0.5 * all),
-            num_samples: levels.iter().map(of_level).sum::<f64>() * num_steps,
+            num_samples: levels.iter().map(|&n| n as f64).sum::<f64>() * num_steps,
             spent_bytes: 0.0,
             coded_samples: 0.0,
             slope: None,

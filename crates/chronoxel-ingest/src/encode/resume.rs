@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 
+use chronoxel_core::Octree;
 use chronoxel_store::{Header, Store, StoreDescription};
 use serde_json::{Map, Value};
 
@@ -21,6 +22,8 @@ pub fn compare(store: &Store, now: &StoreDescription) -> Result<(), EncodeError>
     let difference = of_axes(was, now)
         .or_else(|| of_variables(was, now))
         .or_else(|| of_options(&was.encoder, &now.encoder))
+        .or_else(|| differ("mesh", &was.mesh, &now.mesh))
+        .or_else(|| of_trees(store.tree(), &now.tree))
         .or_else(|| of_classes(was, now));
     match difference {
         None => Ok(()),
@@ -74,6 +77,20 @@ fn of_options(was: &Value, is: &Value) -> Option<Difference> {
     };
     let of = |options: &Map<String, Value>, key: &String| options.get(key).cloned().unwrap_or(Value::Null);
     is.keys().chain(was.keys()).find_map(|key| differ(key, &of(was, key), &of(is, key)))
+}
+
+/// Nodes follow from the grid, or from the mesh and its values.
+fn of_trees(was: &Octree, is: &Octree) -> Option<Difference> {
+    let num_nodes =
+        |tree: &Octree| (0..tree.num_levels() as u8).map(|level| tree.nodes(level).len()).sum::<usize>();
+    differ("number of nodes", &num_nodes(was), &num_nodes(is)).or_else(|| {
+        let differs = was != is;
+        differs.then(|| Difference {
+            field: "octree".into(),
+            was: "another".into(),
+            is: "that of the source".into(),
+        })
+    })
 }
 
 fn of_classes(was: &Header, now: &StoreDescription) -> Option<Difference> {

@@ -11,10 +11,11 @@ use super::mark::{Marks, width_of};
 use super::moments::{self, TimeMoments};
 use super::rate::{self, Spending};
 use super::real::Real;
-use super::step::{CutBrick, Stepper};
+use super::source::Source;
+use super::step::{CutBrick, Feed, Stepper};
 use super::timing::Timing;
 use super::windowed::{Arrival, Method, NodeCoder, OpenWindows};
-use crate::{EncodeError, StepReader, TimeSeries};
+use crate::EncodeError;
 
 /// How a variable is to be coded.
 #[derive(Debug, Clone, PartialEq)]
@@ -169,9 +170,12 @@ impl<'a> VariableEncoder<'a> {
     ) -> Result<Self, EncodeError> {
         let Before { ranges, spending, first } = before;
         let spending = match coding.how {
-            How::Windows { method: Method::Rate { bits }, .. } => {
-                spending.or(Some(Spending::new(bits, places.levels, places.num_steps)))
-            }
+            How::Windows { method: Method::Rate { bits }, .. } => spending.or(Some(Spending::new(
+                bits,
+                places.source_samples,
+                places.samples,
+                places.num_steps,
+            ))),
             _ => None,
         };
         let open = match fits_f32 {
@@ -197,17 +201,17 @@ impl<'a> VariableEncoder<'a> {
     /// Reads a step and puts the spans and statistics that it completes.
     pub fn encode_step(
         &mut self,
-        series: &mut dyn TimeSeries,
+        source: &mut Source<'_>,
         task: &StepTask<'_>,
         writer: &mut StoreWriter,
         on_bricks: &mut dyn FnMut(u8, usize),
     ) -> Result<Marks, EncodeError> {
-        let reader = series.open_step(self.index, task.step as usize)?;
+        let feed = source.feed(self.index, task.step as usize)?;
         let Self { variable, coding, classes, ranges, .. } = self;
         let run = VariableStep { variable: *variable, coding, classes, task };
         match &mut self.open {
-            OpenSteps::F32(open) => run.read(reader, open, ranges, writer, on_bricks),
-            OpenSteps::F64(open) => run.read(reader, open, ranges, writer, on_bricks),
+            OpenSteps::F32(open) => run.read(feed, open, ranges, writer, on_bricks),
+            OpenSteps::F64(open) => run.read(feed, open, ranges, writer, on_bricks),
         }
     }
 }
@@ -243,8 +247,12 @@ impl<T: Real> Open<T> {
 pub struct Places<'a> {
     /// The nodes.
     pub tree: &'a Octree,
-    /// The levels, finest first.
-    pub levels: &'a [LevelGeometry],
+    /// Nodes without children.
+    pub num_leaves: u64,
+    /// Core samples inside the grid, over the nodes of each level.
+    pub samples: &'a [u64],
+    /// Source samples of a step.
+    pub source_samples: u64,
     /// The shape of bricks.
     pub layout: &'a BrickLayout,
     /// Steps of the series.
@@ -271,7 +279,7 @@ struct VariableStep<'a> {
 impl VariableStep<'_> {
     fn read<T: Real>(
         &self,
-        reader: Box<dyn StepReader + '_>,
+        feed: Feed<'_>,
         open: &mut Open<T>,
         ranges: &mut Vec<[f64; 2]>,
         writer: &mut StoreWriter,
@@ -284,8 +292,8 @@ impl VariableStep<'_> {
         let range = self.coding.range.or(ranges.last().copied()).map_or(0.0, width_of);
         let observe = |brick: &CutBrick<'_, T>| moments.take(brick, *step, range);
         let marks = match windows {
-            None => self.steps(reader, &observe, ranges, writer, on_bricks)?,
-            Some(open) => self.windows(reader, &observe, open, ranges, writer, on_bricks)?,
+            None => self.steps(feed, &observe, ranges, writer, on_bricks)?,
+            Some(open) => self.windows(feed, &observe, open, ranges, writer, on_bricks)?,
         };
         moments.end(*step, stepper.tree, writer)?;
         Ok(marks)
@@ -294,7 +302,7 @@ impl VariableStep<'_> {
     /// Each brick is coded at once.
     fn steps<T: Real>(
         &self,
-        reader: Box<dyn StepReader + '_>,
+        feed: Feed<'_>,
         observe: &Observe<'_, T>,
         ranges: &mut Vec<[f64; 2]>,
         writer: &mut StoreWriter,
@@ -311,7 +319,7 @@ impl VariableStep<'_> {
             false => Ok(writer.put(self.variable, level, spans.into_iter().flatten().collect())?),
         };
         let fill_value = self.coding.fill_value;
-        let marks = self.task.stepper.each_brick(reader, fill_value, &of_brick, &mut put, on_bricks)?;
+        let marks = self.task.stepper.each_brick(feed, fill_value, &of_brick, &mut put, on_bricks)?;
         self.see(&marks, ranges);
         Ok(marks)
     }
@@ -349,7 +357,7 @@ impl VariableStep<'_> {
     /// Bricks wait; those whose windows end with the step are coded once it is read.
     fn windows<T: Real>(
         &self,
-        reader: Box<dyn StepReader + '_>,
+        feed: Feed<'_>,
         observe: &Observe<'_, T>,
         open: &mut OpenWindows<T>,
         ranges: &mut Vec<[f64; 2]>,
@@ -368,7 +376,7 @@ impl VariableStep<'_> {
         };
         let mut wait =
             |level, arrivals: Vec<Option<Arrival<T>>>| open.wait(level, arrivals.into_iter().flatten());
-        let marks = stepper.each_brick(reader, self.coding.fill_value, &of_brick, &mut wait, on_bricks)?;
+        let marks = stepper.each_brick(feed, self.coding.fill_value, &of_brick, &mut wait, on_bricks)?;
         self.see(&marks, ranges);
         let coder = NodeCoder {
             layout: &stepper.plan.layout,

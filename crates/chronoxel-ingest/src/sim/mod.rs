@@ -6,6 +6,7 @@
 //! | `vortex` | incompressible turbulence that decays in a periodic box | `vorticity_magnitude` |
 //! | `shockbubble` | compressible gas: a shock runs over a light bubble | `density` |
 //! | `swirl` | nothing: a moving pattern for tests of playback only | `playback_test_pattern` |
+//! | `twist` | nothing: a twisted curvilinear mesh with fields in closed form | `pulse`, `slope` |
 //!
 //! All know `dims` (`128` or `160x64x64`) and `steps`. A run of a solver covers the same stretch of physical
 //! time whatever `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
@@ -22,26 +23,40 @@ mod shockbubble;
 mod spec;
 mod swirl;
 pub mod transport;
+pub mod twist;
 mod vortex;
 
 use chronoxel_core::{SampleType, Samples, TimeAxis, UniformGrid};
 
+use crate::mesh::Opened;
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume, vortex, shockbubble, and swirl for tests of playback";
+const NAMES: &str = "plume, vortex, shockbubble, twist, and swirl for tests of playback";
 
-/// Opens a built-in simulation as a source; nothing is computed yet.
+/// Opens a built-in simulation on a uniform grid as a source; nothing is computed yet.
 ///
 /// # Errors
 /// [`SourceError::InvalidArgument`] for a name, key or value that does not exist, saying which do.
 pub fn open(spec: &str) -> Result<Box<dyn TimeSeries>, SourceError> {
+    match open_any(spec)? {
+        Opened::Volume(series) => Ok(series),
+        Opened::Mesh(_) => Err(invalid("simulation", spec, "it is a mesh where a uniform grid is needed")),
+    }
+}
+
+/// Opens whatever is built in as a source: a simulation, or a mesh.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_any(spec: &str) -> Result<Opened, SourceError> {
     let spec = Spec::parse(spec)?;
     let series = match spec.name.as_str() {
         "plume" => plume::open(&spec)?,
         "vortex" => vortex::open(&spec)?,
         "shockbubble" => shockbubble::open(&spec)?,
         "swirl" => swirl::open(&spec)?,
+        "twist" => return Ok(Opened::Mesh(twist::open(&spec)?)),
         _ => {
             return Err(invalid(
                 "simulation",
@@ -50,7 +65,7 @@ pub fn open(spec: &str) -> Result<Box<dyn TimeSeries>, SourceError> {
             ));
         }
     };
-    Ok(Box::new(series))
+    Ok(Opened::Volume(Box::new(series)))
 }
 
 /// A simulation under way.

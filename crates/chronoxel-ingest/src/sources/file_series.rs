@@ -49,7 +49,8 @@ impl FileSeries {
             options.origin.unwrap_or(first.grid.origin),
             options.spacing.unwrap_or(first.grid.spacing),
         )?;
-        let times = time_axis(&files, options)?;
+        let headers: Vec<&FileHeader> = files.iter().map(|file| file.header()).collect();
+        let times = time_axis(&headers, options)?;
         Ok(Self { files, grid, times, variables, variable_in_file, first_steps, last_file: 0 })
     }
 }
@@ -88,7 +89,7 @@ impl TimeSeries for FileSeries {
 }
 
 /// The variables of the first file, a name being found for the one that has none.
-fn named_variables(header: &FileHeader, in_series: bool) -> Vec<Variable> {
+pub(crate) fn named_variables<G>(header: &FileHeader<G>, in_series: bool) -> Vec<Variable> {
     let stem = header.path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = match in_series {
         true => stem.trim_end_matches(|c: char| c.is_ascii_digit() || "._- ".contains(c)),
@@ -105,7 +106,7 @@ fn named_variables(header: &FileHeader, in_series: bool) -> Vec<Variable> {
 }
 
 /// Indices of the wanted variables, in the order wanted; all of them where none is named.
-fn select_variables(variables: &[Variable], wanted: &[String]) -> Result<Vec<usize>, SourceError> {
+pub(crate) fn select_variables(variables: &[Variable], wanted: &[String]) -> Result<Vec<usize>, SourceError> {
     if wanted.is_empty() {
         return Ok((0..variables.len()).collect());
     }
@@ -149,8 +150,12 @@ fn check_same_grid(first: &FileHeader, header: &FileHeader) -> Result<(), Source
 }
 
 /// Every file of a series has the variables of the first; gives where each of them is in this file.
-fn check_same_variables(first: &FileHeader, header: &FileHeader) -> Result<Vec<usize>, SourceError> {
-    let names = |h: &FileHeader| h.variables.iter().map(|v| v.name.as_str()).collect::<Vec<_>>().join(", ");
+pub(crate) fn check_same_variables<G>(
+    first: &FileHeader<G>,
+    header: &FileHeader<G>,
+) -> Result<Vec<usize>, SourceError> {
+    let names =
+        |h: &FileHeader<G>| h.variables.iter().map(|v| v.name.as_str()).collect::<Vec<_>>().join(", ");
     let problem =
         |what: String| format!("{} has {what}; all files of a series must agree", first.path.display());
     let mut places = Vec::with_capacity(first.variables.len());
@@ -181,9 +186,12 @@ fn check_same_variables(first: &FileHeader, header: &FileHeader) -> Result<Vec<u
 }
 
 /// The times of all steps: `dt` where the caller gives it, else the files' own, else the step's number.
-fn time_axis(files: &[Box<dyn VolumeFile>], options: &SourceOptions) -> Result<TimeAxis, SourceError> {
-    let num_steps = files.iter().map(|f| f.header().num_steps).sum();
-    let units = files[0].header().time_units.clone();
+pub(crate) fn time_axis<G>(
+    files: &[&FileHeader<G>],
+    options: &SourceOptions,
+) -> Result<TimeAxis, SourceError> {
+    let num_steps = files.iter().map(|f| f.num_steps).sum();
+    let units = files[0].time_units.clone();
     let dt = options.dt.unwrap_or(1.0);
     if !(dt.is_finite() && dt > 0.0) {
         return Err(SourceError::argument("--dt", dt, "the time between steps must be finite and positive"));
@@ -197,48 +205,47 @@ fn time_axis(files: &[Box<dyn VolumeFile>], options: &SourceOptions) -> Result<T
         },
     };
     check_increasing(files, &times)?;
-    TimeAxis::new(times, units)
-        .map_err(|e| SourceError::corrupt(&files[0].header().path, "times", e, "check them"))
+    TimeAxis::new(times, units).map_err(|e| SourceError::corrupt(&files[0].path, "times", e, "check them"))
 }
 
 /// The times the files give; all of them or none must.
-fn known_times(files: &[Box<dyn VolumeFile>]) -> Result<Option<Vec<f64>>, SourceError> {
+fn known_times<G>(files: &[&FileHeader<G>]) -> Result<Option<Vec<f64>>, SourceError> {
     let mut all = Vec::new();
     for file in files {
-        if let FileTimes::Known(times) = &file.header().times {
+        if let FileTimes::Known(times) = &file.times {
             all.extend_from_slice(times);
         } else if !all.is_empty() {
             let problem =
                 "the files before it have one; give every file its time, or number the steps with --dt";
-            return Err(SourceError::corrupt(&file.header().path, "time", "missing", problem));
+            return Err(SourceError::corrupt(&file.path, "time", "missing", problem));
         }
     }
-    let num_steps: usize = files.iter().map(|f| f.header().num_steps).sum();
+    let num_steps: usize = files.iter().map(|f| f.num_steps).sum();
     match all.len() {
         0 => Ok(None),
         n if n == num_steps => Ok(Some(all)),
         _ => {
             let problem = "later files have one; give every file its time, or number the steps with --dt";
-            Err(SourceError::corrupt(&files[0].header().path, "time", "missing", problem))
+            Err(SourceError::corrupt(&files[0].path, "time", "missing", problem))
         }
     }
 }
 
 /// The step numbers the files give, where each has one and they increase.
-fn step_numbers(files: &[Box<dyn VolumeFile>]) -> Option<Vec<f64>> {
-    let number = |header: &FileHeader| match header.times {
+fn step_numbers<G>(files: &[&FileHeader<G>]) -> Option<Vec<f64>> {
+    let number = |header: &FileHeader<G>| match header.times {
         FileTimes::StepNumber(number) => Some(number),
         _ => None,
     };
-    let numbers: Vec<f64> = files.iter().map(|f| number(f.header())).collect::<Option<_>>()?;
+    let numbers: Vec<f64> = files.iter().map(|f| number(f)).collect::<Option<_>>()?;
     numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
 }
 
 /// Times increase from step to step; the error names the file where they do not.
-fn check_increasing(files: &[Box<dyn VolumeFile>], times: &[f64]) -> Result<(), SourceError> {
+fn check_increasing<G>(files: &[&FileHeader<G>], times: &[f64]) -> Result<(), SourceError> {
     let mut step = 0;
     for file in files {
-        let header = file.header();
+        let header = file;
         for _ in 0..header.num_steps {
             let time = times[step];
             if !time.is_finite() {

@@ -19,6 +19,11 @@ pub(crate) enum Format {
     Vti,
     Pvd,
     Zarr,
+    Vts,
+    Vtr,
+    Vtu,
+    Vtk,
+    Plot3d,
 }
 
 impl Format {
@@ -31,6 +36,11 @@ impl Format {
             Self::Vti => "VTK ImageData .vti",
             Self::Pvd => "ParaView collection .pvd",
             Self::Zarr => "Zarr",
+            Self::Vts => "VTK StructuredGrid .vts",
+            Self::Vtr => "VTK RectilinearGrid .vtr",
+            Self::Vtu => "VTK UnstructuredGrid .vtu",
+            Self::Vtk => "legacy VTK .vtk",
+            Self::Plot3d => "PLOT3D",
         }
     }
 
@@ -64,6 +74,11 @@ impl Format {
             "nrrd" | "nhdr" => Some(Self::Nrrd),
             "vti" => Some(Self::Vti),
             "pvd" => Some(Self::Pvd),
+            "vts" => Some(Self::Vts),
+            "vtr" => Some(Self::Vtr),
+            "vtu" => Some(Self::Vtu),
+            "vtk" => Some(Self::Vtk),
+            "x" | "xyz" | "g" | "grd" | "q" | "p3d" => Some(Self::Plot3d),
             _ => None,
         }
     }
@@ -95,7 +110,7 @@ impl Content {
         let signatures: [(&[u8], Self); 12] = [
             (b"\x93NUMPY", Self::Is(Format::Npy)),
             (b"NRRD0", Self::Is(Format::Nrrd)),
-            (b"# vtk DataFile", Self::Other("a legacy .vtk file")),
+            (b"# vtk DataFile", Self::Is(Format::Vtk)),
             (b"\x89HDF\r\n\x1a\n", Self::Other("HDF5")),
             (b"CDF\x01", Self::Other("NetCDF")),
             (b"CDF\x02", Self::Other("NetCDF")),
@@ -127,8 +142,12 @@ impl Content {
             Some("ImageData") => Self::Is(Format::Vti),
             Some("Collection") => Self::Is(Format::Pvd),
             Some("PImageData") => Self::Other("a parallel VTK .pvti file"),
-            Some("UnstructuredGrid") => Self::Other("a VTK .vtu mesh"),
-            Some("StructuredGrid" | "RectilinearGrid") => Self::Other("a VTK grid that is not uniform"),
+            Some("StructuredGrid") => Self::Is(Format::Vts),
+            Some("RectilinearGrid") => Self::Is(Format::Vtr),
+            Some("UnstructuredGrid") => Self::Is(Format::Vtu),
+            Some("PStructuredGrid" | "PRectilinearGrid" | "PUnstructuredGrid") => {
+                Self::Other("a parallel VTK file")
+            }
             _ => Self::Other("a VTK file of another type"),
         }
     }
@@ -137,7 +156,7 @@ impl Content {
     fn fits(self, format: Format) -> bool {
         match self {
             Self::Is(found) => found == format,
-            Self::Unknown => format == Format::Raw,
+            Self::Unknown => matches!(format, Format::Raw | Format::Plot3d),
             Self::Other(_) => false,
         }
     }
@@ -158,7 +177,7 @@ impl Content {
                 "check that it was written completely, or give --dims and --dtype"
             }
             Self::Is(_) => "rename it to the extension of its format",
-            Self::Other(_) => "convert it to .vti, .nrrd, .npy, Zarr or raw",
+            Self::Other(_) => "convert it to .vti, .vts, .vtu, .nrrd, .npy, Zarr or raw",
         }
     }
 }
@@ -179,7 +198,8 @@ fn unknown_extension(path: &Path, extension: &str, content: Content) -> SourceEr
     let shown = if extension.is_empty() { "missing" } else { extension };
     let remedy = match content {
         Content::Unknown => {
-            ".vti, .pvd, .nrrd, .nhdr, .npy, Zarr folders and raw files with --dims and --dtype are"
+            ".vti, .vts, .vtr, .vtu, .vtk, .pvd, .nrrd, .nhdr, .npy, Zarr folders, PLOT3D (.xyz with .q) and raw files \
+             with --dims and --dtype are"
                 .to_owned()
         }
         known => format!("the content is {}; {}", known.name(), known.remedy()),

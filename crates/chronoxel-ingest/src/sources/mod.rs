@@ -5,18 +5,28 @@
 
 mod file_series;
 mod format;
+mod mesh_files;
 mod natural_order;
 mod npy;
 mod nrrd;
 mod nrrd_data;
 mod nrrd_header;
 mod number_text;
+mod plot3d;
+mod plot3d_layout;
 mod pvd;
 mod raw;
 mod samples;
 mod volume_file;
 mod vti;
+mod vtk_arrays;
+mod vtk_cells;
 mod vtk_data;
+mod vtk_legacy;
+mod vtk_legacy_scan;
+mod vtr;
+mod vts;
+mod vtu;
 mod xml;
 mod zarr;
 
@@ -24,10 +34,12 @@ use std::path::{Path, PathBuf};
 
 use chronoxel_core::SampleType;
 
-use self::file_series::FileSeries;
+use self::file_series::{FileSeries, select_variables};
 use self::format::Format;
+use self::mesh_files::{FileMesh, MeshFile};
 use self::natural_order::natural_order;
 use self::volume_file::VolumeFile;
+use crate::mesh::{MeshSeries, Opened, SelectedMesh};
 use crate::{SourceError, TimeSeries};
 
 /// What a caller may say about a source beyond what its files do.
@@ -51,6 +63,9 @@ pub struct SourceOptions {
     pub variables: Vec<String>,
     /// The value that means "no data", in place of the files' own.
     pub fill_value: Option<f64>,
+    /// Tetrahedra of a mesh whose volume is at most this share of their cubed longest edge are left out as flat, in place of
+    /// [`DEFAULT_FLAT_THRESHOLD`](crate::mesh::DEFAULT_FLAT_THRESHOLD).
+    pub flat_threshold: Option<f64>,
     /// Memory of the whole run. Buffers that only save time take at most a quarter of it; what is read stays the same.
     pub memory_bytes: Option<u64>,
 }
@@ -90,33 +105,94 @@ impl SourceOptions {
 /// # Errors
 /// [`SourceError`] naming the file, the field and the value if one cannot be opened or they do not agree.
 pub fn open(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn TimeSeries>, SourceError> {
+    match open_any(inputs, options)? {
+        Opened::Volume(series) => Ok(series),
+        Opened::Mesh(mesh) => {
+            let remedy = format!("it is a {} grid where a uniform one is needed", mesh.grid_type().name());
+            Err(SourceError::argument("SOURCE", &inputs[0], remedy))
+        }
+    }
+}
+
+/// Opens a source that is a mesh: a grid that is not uniform.
+///
+/// # Errors
+/// As [`open`]; also if the source is a uniform volume.
+pub fn open_mesh(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn MeshSeries>, SourceError> {
+    match open_any(inputs, options)? {
+        Opened::Mesh(mesh) => Ok(mesh),
+        Opened::Volume(_) => {
+            let remedy = "it is a uniform grid where a mesh is needed";
+            Err(SourceError::argument("SOURCE", &inputs[0], remedy))
+        }
+    }
+}
+
+/// Opens a source, whether it is a uniform volume or a mesh.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_any(inputs: &[String], options: &SourceOptions) -> Result<Opened, SourceError> {
     if let Some(spec) = inputs.iter().find(|input| input.starts_with("sim:")) {
         return open_simulation(spec, inputs.len(), options);
     }
+    let paths = expand(inputs)?;
+    if plot3d::is_plot3d(&paths, options) {
+        return Ok(Opened::Mesh(Box::new(FileMesh::new(plot3d::open(&paths, options)?, options)?)));
+    }
     let mut files = Vec::new();
-    for path in expand(inputs)? {
+    for path in paths {
         files.extend(open_files(&path, options)?);
     }
-    Ok(Box::new(FileSeries::new(files, options)?))
+    join(files, options)
+}
+
+/// One file, opened.
+pub(crate) enum OpenedFile {
+    /// Samples on a uniform grid.
+    Volume(Box<dyn VolumeFile>),
+    /// Values at the points of a mesh.
+    Mesh(Box<dyn MeshFile>),
+}
+
+impl OpenedFile {
+    /// Its path.
+    fn path(&self) -> &Path {
+        match self {
+            Self::Volume(file) => &file.header().path,
+            Self::Mesh(file) => &file.header().path,
+        }
+    }
+}
+
+/// Joins files, at least one, to a series of volumes or of meshes.
+fn join(files: Vec<OpenedFile>, options: &SourceOptions) -> Result<Opened, SourceError> {
+    let kind = |file: &OpenedFile| match file {
+        OpenedFile::Volume(_) => "a uniform grid",
+        OpenedFile::Mesh(_) => "a mesh",
+    };
+    let first = kind(&files[0]);
+    if let Some(other) = files.iter().find(|file| kind(file) != first) {
+        let problem = format!("{} has {first}; all files of a series must agree", files[0].path().display());
+        return Err(SourceError::corrupt(other.path(), "grid", kind(other), problem));
+    }
+    let (mut volumes, mut meshes) = (Vec::new(), Vec::new());
+    for file in files {
+        match file {
+            OpenedFile::Volume(file) => volumes.push(file),
+            OpenedFile::Mesh(file) => meshes.push(file),
+        }
+    }
+    match meshes.is_empty() {
+        true => Ok(Opened::Volume(Box::new(FileSeries::new(volumes, options)?))),
+        false => Ok(Opened::Mesh(Box::new(FileMesh::new(meshes, options)?))),
+    }
 }
 
 /// Opens a built-in simulation, which takes its settings in its name.
-fn open_simulation(
-    spec: &str,
-    num_inputs: usize,
-    options: &SourceOptions,
-) -> Result<Box<dyn TimeSeries>, SourceError> {
+fn open_simulation(spec: &str, num_inputs: usize, options: &SourceOptions) -> Result<Opened, SourceError> {
     if num_inputs > 1 {
         return Err(SourceError::argument("SOURCE", spec, "a simulation cannot be joined with other inputs"));
-    }
-    let series = crate::sim::open(spec)?;
-    let names: Vec<&str> = series.variables().iter().map(|v| v.name.as_str()).collect();
-    if let Some(other) = options.variables.iter().find(|name| !names.contains(&name.as_str())) {
-        return Err(SourceError::argument(
-            "--variable",
-            other,
-            format!("the source has {}", names.join(", ")),
-        ));
     }
     let about_files = SourceOptions { variables: Vec::new(), memory_bytes: None, ..options.clone() };
     if about_files != SourceOptions::default() {
@@ -124,11 +200,21 @@ fn open_simulation(
                       --dtype, --spacing and --dt";
         return Err(SourceError::argument("SOURCE", spec, remedy));
     }
-    Ok(series)
+    match crate::sim::open_any(spec)? {
+        // A simulation that solves something has one variable.
+        Opened::Volume(series) => {
+            select_variables(series.variables(), &options.variables)?;
+            Ok(Opened::Volume(series))
+        }
+        Opened::Mesh(mesh) => {
+            let wanted = select_variables(mesh.variables(), &options.variables)?;
+            Ok(Opened::Mesh(Box::new(SelectedMesh::new(mesh, wanted))))
+        }
+    }
 }
 
 /// Opens one path: a collection gives several files.
-fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<Box<dyn VolumeFile>>, SourceError> {
+fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<OpenedFile>, SourceError> {
     match Format::of(path, options)? {
         Format::Pvd => pvd::open(path, options),
         other => Ok(vec![open_file(path, other, options)?]),
@@ -136,25 +222,31 @@ fn open_files(path: &Path, options: &SourceOptions) -> Result<Vec<Box<dyn Volume
 }
 
 /// Opens one file of a format that holds samples.
-fn open_file(
-    path: &Path,
-    format: Format,
-    options: &SourceOptions,
-) -> Result<Box<dyn VolumeFile>, SourceError> {
+fn open_file(path: &Path, format: Format, options: &SourceOptions) -> Result<OpenedFile, SourceError> {
     if format != Format::Raw {
         options.check_describes_itself(path, format.name())?;
     }
-    match format {
+    let volume = match format {
         Format::Raw => raw::open(path, options),
         Format::Npy => npy::open(path, options),
         Format::Nrrd => nrrd::open(path),
         Format::Vti => vti::open(path),
         Format::Zarr => zarr::open(path, options),
+        Format::Vts => return vts::open(path).map(OpenedFile::Mesh),
+        Format::Vtr => return vtr::open(path).map(OpenedFile::Mesh),
+        Format::Vtu => return vtu::open(path).map(OpenedFile::Mesh),
+        Format::Vtk => return vtk_legacy::open(path),
+        Format::Plot3d => {
+            let remedy = "it takes its grid from another; name the grid and its solutions together, as in grid.xyz \
+                          step1.q step2.q";
+            Err(SourceError::unsupported(path, "a PLOT3D file", "alone", remedy))
+        }
         Format::Pvd => {
-            let remedy = "a collection cannot hold collections; name the volumes themselves";
+            let remedy = "a collection cannot hold collections; name the files themselves";
             Err(SourceError::unsupported(path, "format", format.name(), remedy))
         }
-    }
+    };
+    volume.map(OpenedFile::Volume)
 }
 
 /// The paths that the inputs name.

@@ -14,11 +14,11 @@ const MAX_STEPS: usize = 1 << 24;
 /// The most that deflate can expand its input, rounded up.
 pub(crate) const MAX_DEFLATE_RATIO: u64 = 1040;
 
-/// What the header of one file says.
+/// What the header of one file says; `G` is what it says about the grid.
 #[derive(Debug, Clone)]
-pub(crate) struct FileHeader {
+pub(crate) struct FileHeader<G = UniformGrid> {
     pub path: PathBuf,
-    pub grid: UniformGrid,
+    pub grid: G,
     /// A name is empty where the format names none.
     pub variables: Vec<Variable>,
     pub num_steps: usize,

@@ -43,13 +43,15 @@ pub(crate) enum Place {
     Ascii(Range<u64>),
     Base64(Range<u64>),
     Raw(Range<u64>),
+    /// Bytes without a header before them, never compressed.
+    Bare(Range<u64>),
 }
 
 impl Place {
     /// Bytes of the file.
     fn range(&self) -> Range<u64> {
         match self {
-            Self::Ascii(range) | Self::Base64(range) | Self::Raw(range) => range.clone(),
+            Self::Ascii(range) | Self::Base64(range) | Self::Raw(range) | Self::Bare(range) => range.clone(),
         }
     }
 
@@ -60,6 +62,7 @@ impl Place {
         let decoded = match self {
             // A number takes a digit and a blank.
             Self::Ascii(_) => return (available / 2 + 1).saturating_mul(sample_type.num_bytes() as u64),
+            Self::Bare(_) => return available,
             Self::Base64(_) => available / 4 * 3 + 3,
             Self::Raw(_) => available,
         };
@@ -87,6 +90,7 @@ impl Place {
                 let numbers = NumberText::<BufReader<Take<File>>>::new(buffered(file), sample_type);
                 Ok(Box::new(ExactLength { input: numbers, num_left: num_bytes }))
             }
+            (Self::Bare(_), _) => Ok(Box::new(limited(file))),
             (Self::Base64(_), None) => plain(Base64::new(buffered(file)), encoding, num_bytes),
             (Self::Base64(_), Some(c)) => blocks(Base64::new(buffered(file)), encoding, c, num_bytes),
             (Self::Raw(_), None) => plain(limited(file), encoding, num_bytes),

@@ -35,14 +35,16 @@ fn paths_that_lead_nowhere() {
 fn an_extension_that_lies_is_told_what_the_file_is() {
     let npy = std::fs::read(path("npy/f4.npy")).unwrap();
     let vti = std::fs::read(path("vti/ascii.vti")).unwrap();
-    let cases: [(&str, &[u8], &str); 9] = [
+    let cases: [(&str, &[u8], &str); 11] = [
         ("a.vti", &npy, "the content is NumPy .npy"),
         ("a.npy", &vti, "the content is VTK ImageData .vti"),
         ("a.raw", &npy, "the content is NumPy .npy"),
         ("a.pvd", &vti, "the content is VTK ImageData .vti"),
         ("a.nrrd", b"\x89HDF\r\n\x1a\n", "the content is HDF5"),
         ("a.vti", b"some text", "none of the known formats"),
-        ("a.vtu", b"<VTKFile type=\"UnstructuredGrid\">", "a VTK .vtu mesh"),
+        ("a.vti", b"<VTKFile type=\"UnstructuredGrid\">", "the content is VTK UnstructuredGrid .vtu"),
+        ("a.vti", b"# vtk DataFile Version 3.0", "the content is legacy VTK .vtk"),
+        ("a.vts", b"<VTKFile type=\"PStructuredGrid\">", "a parallel VTK file"),
         ("a.txt", b"some text", "which is not supported"),
         ("a", b"some text", "extension is missing"),
     ];

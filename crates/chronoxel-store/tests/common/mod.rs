@@ -41,6 +41,7 @@ pub fn description(dims: [usize; 3], num_steps: usize) -> StoreDescription {
         variables: vec![variable("speed", SampleType::F32), variable("an odd/name", SampleType::U8)],
         zstd_level: 1,
         time_tree: None,
+        mesh: None,
         encoder: serde_json::json!({ "codec": "raw", "z_crc32c": "deadbeef" }),
     }
 }

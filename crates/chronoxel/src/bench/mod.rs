@@ -8,6 +8,7 @@ pub mod binotto2003_speed;
 pub mod ellsworth2000;
 pub mod gpu_playback;
 mod input;
+pub mod leven2002;
 pub mod lum2001;
 pub mod lum2001_playback;
 mod ripples;

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, str::FromStr};
 
 use chronoxel_ingest::{
-    TimeSeries,
+    Opened, TimeSeries,
     sources::{self, SourceOptions},
 };
 use clap::{Args, builder::NonEmptyStringValueParser};
@@ -70,6 +70,9 @@ pub struct SourceHints {
     /// Value that means "no data", besides NaN [default: what the file says]
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub fill_value: Option<f64>,
+    /// Leave out tetrahedra of a mesh whose volume is at most this share of their cubed longest edge [default: 1.8e-7]
+    #[arg(long, value_name = "SHARE")]
+    pub flat_threshold: Option<f64>,
 }
 
 impl SourceArgs {
@@ -91,6 +94,14 @@ impl SourceHints {
         Ok(sources::open(source, &self.options(common))?)
     }
 
+    /// Opens a source with these hints, whatever its grid.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub fn open_any(&self, common: &Common, source: &[String]) -> anyhow::Result<Opened> {
+        Ok(sources::open_any(source, &self.options(common))?)
+    }
+
     /// The hints, as readers take them.
     pub fn options(&self, common: &Common) -> SourceOptions {
         SourceOptions {
@@ -103,6 +114,7 @@ impl SourceHints {
             dt: self.dt,
             variables: self.variable.clone(),
             fill_value: self.fill_value,
+            flat_threshold: self.flat_threshold,
             memory_bytes: Some(common.memory.0),
         }
     }

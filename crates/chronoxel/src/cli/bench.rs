@@ -16,7 +16,7 @@ use super::{
 use crate::{
     bench::{
         BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, gpu_playback,
-        lum2001, lum2001_playback,
+        leven2002, lum2001, lum2001_playback,
     },
     progress::{Counted, Progress},
 };
@@ -30,6 +30,7 @@ use crate::{
   chronoxel bench binotto2003 --out results
   chronoxel bench ellsworth2000 --source 'isabel/*.vti'
   chronoxel bench gpu-playback --size full --memory 16GiB
+  chronoxel bench leven2002 --source bluntfinxyz.bin,bluntfinq.bin --variable density
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
@@ -42,7 +43,8 @@ Benches:
                the time-space partitioning tree: time to compute its errors, ms per frame and what is drawn how, by metric, tolerance,
                transfer function and size of brick
   gpu-playback playback on a GPU: frame rates, what a step costs and what is uploaded, beside a plain ray caster over one whole texture;
-               128 and 256 samples along an edge, 512 and 1024 in full, or any data in their place")]
+               128 and 256 samples along an edge, 512 and 1024 in full, or any data in their place
+  leven2002    octrees over meshes: depth, nodes and bytes, and how they fall with the threshold on the field")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -77,6 +79,8 @@ enum BenchName {
     Ellsworth2000,
     /// Playback on a GPU, beside a ray caster over one whole texture
     GpuPlayback,
+    /// Interactive visualization of unstructured grids using hierarchical 3D textures (Leven, Corso, Cohen, Kumar, 2002)
+    Leven2002,
 }
 
 /// Sizes of the simulations.
@@ -102,8 +106,11 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         BenchName::Binotto2003Speed => binotto2003_speed::sources(&args.source, size),
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
         BenchName::GpuPlayback => args.source.clone(),
+        BenchName::Leven2002 => leven2002::sources(&args.source, size),
     };
-    let inputs = names.iter().map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
+    let are_meshes = args.name == BenchName::Leven2002;
+    let volumes = names.iter().filter(|_| !are_meshes);
+    let inputs = volumes.map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
         Some(folder) => {
             fs::create_dir_all(folder)
@@ -127,6 +134,10 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         }
         BenchName::Ellsworth2000 => ellsworth2000::run(inputs, size, &place, common.memory.0, &mut progress)?,
         BenchName::GpuPlayback => gpu_playback::run(inputs, size, &place, common.memory.0, &mut progress)?,
+        BenchName::Leven2002 => {
+            let options = args.hints.options(common);
+            leven2002::run(&names, &options, size, &place, common.memory.0, &mut progress)?
+        }
     };
     if let Some(bar) = bar {
         bar.finish();

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use chronoxel_ingest::{
-    TimeSeries,
-    encode::{Codec, EncodeOptions, encode},
+    EncodeReport, MeshSeries, Opened, TimeSeries, VoxelOptions, VoxelReport,
+    encode::{self, Codec, EncodeOptions, encode, encode_mesh},
 };
 
 use super::{
@@ -31,7 +31,8 @@ use crate::{
   chronoxel encode 'sim:vortex?dims=128&steps=32' -o vortex.cxl --bits 1      one bit per sample and step
   chronoxel encode 'sim:shockbubble?steps=64' -o shock.cxl --codec vq --window 8
   chronoxel encode 'run/frames_*.vti' -o run.cxl --max-error 0      without loss: integers of up to 16 bits
-  chronoxel encode 'run/density_*.vti' -o run.cxl --resume      go on after an interruption")]
+  chronoxel encode 'run/density_*.vti' -o run.cxl --resume      go on after an interruption
+  chronoxel encode 'wing_*.vtu' -o wing.cxl --max-depth 7 --field-threshold 0.01      a mesh, resampled to bricks")]
 pub struct EncodeArgs {
     #[command(flatten)]
     source: SourceArgs,
@@ -59,6 +60,16 @@ pub struct EncodeArgs {
     /// Range of values that --max-error refers to [default: the range seen so far]
     #[arg(long, value_name = "MIN:MAX", value_parser = parse_range, allow_hyphen_values = true)]
     range: Option<[f64; 2]>,
+    /// What a mesh becomes [default: bricks]
+    #[arg(long = "as", value_name = "FORM")]
+    form: Option<Form>,
+    /// Of a mesh: points around which the field differs by more than this share of its range, at any step, get a voxel of their
+    /// own [default: 0: wherever it differs]
+    #[arg(long, value_name = "E", value_parser = parse_not_negative)]
+    field_threshold: Option<f64>,
+    /// Of a mesh: most levels below the root, which is one brick [default: 5]
+    #[arg(long, value_name = "N")]
+    max_depth: Option<u8>,
     /// Go on with a store that was interrupted
     #[arg(long, conflicts_with = "overwrite")]
     resume: bool,
@@ -80,6 +91,13 @@ enum CodecName {
     PaletteSlice,
     /// One byte for every sample and window of time steps: tables trained on the brick's time series
     Vq,
+}
+
+/// What a mesh can become.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Form {
+    /// An octree of bricks, deeper where the mesh is finer (leven2002)
+    Bricks,
 }
 
 fn parse_brick(text: &str) -> Result<usize, String> {
@@ -106,11 +124,20 @@ pub struct EncodeSummary {
     masked_samples: u64,
     infinite_samples: u64,
     threads: usize,
+    /// What became of a mesh.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mesh: Option<VoxelReport>,
 }
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
+    let defaults = VoxelOptions::default();
+    let voxels = VoxelOptions {
+        field_threshold: args.field_threshold.unwrap_or(defaults.field_threshold),
+        max_depth: args.max_depth.unwrap_or(defaults.max_depth),
+    };
     let options = EncodeOptions {
+        voxels,
         codec: match args.codec {
             CodecName::Auto => Codec::Auto,
             CodecName::Raw => Codec::Raw,
@@ -132,12 +159,35 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
         ..options_of(common)
     };
     options.check().map_err(|error| WrongUsage(error.to_string()))?;
-    let mut series = args.source.open(common)?;
-    let summary = encode_series(common, series.as_mut(), &args.output, &options)?;
+    let summary = match args.source.hints.open_any(common, &args.source.source)? {
+        Opened::Volume(mut series) => {
+            args.check_no_mesh_options()?;
+            encode_series(common, series.as_mut(), &args.output, &options)?
+        }
+        Opened::Mesh(mut mesh) => encode_mesh_series(common, mesh.as_mut(), &args.output, &options)?,
+    };
     match common.json {
         true => output::json(&summary),
         false if common.quiet => Ok(()),
         false => output::line(&summary.text()),
+    }
+}
+
+impl EncodeArgs {
+    /// Refuses what only a mesh takes.
+    fn check_no_mesh_options(&self) -> anyhow::Result<()> {
+        let given = [
+            (self.form.is_some(), "--as"),
+            (self.field_threshold.is_some(), "--field-threshold"),
+            (self.max_depth.is_some(), "--max-depth"),
+        ];
+        match given.iter().find(|(is_given, _)| *is_given) {
+            Some((_, option)) => Err(WrongUsage(format!(
+                "{option}: the source is a uniform grid, which is bricks already; leave it out"
+            ))
+            .into()),
+            None => Ok(()),
+        }
     }
 }
 
@@ -149,14 +199,42 @@ pub fn options_of(common: &Common) -> EncodeOptions {
 /// Below this, what the allocator keeps matters.
 const TIGHT_MEMORY: ByteSize = ByteSize(1 << 30);
 
-/// Encodes behind a progress bar.
+/// Encodes a series behind a progress bar.
 pub fn encode_series(
     common: &Common,
     series: &mut dyn TimeSeries,
     store: &Path,
     options: &EncodeOptions,
 ) -> anyhow::Result<EncodeSummary> {
+    let num_variables = series.variables().len();
     let num_samples = series.grid().num_samples() as u64 * series.times().num_steps() as u64;
+    behind_bar(common, store, options, [num_samples, num_variables as u64], |progress| {
+        Ok(encode(series, store, options, progress)?)
+    })
+}
+
+/// Encodes a mesh behind a progress bar.
+fn encode_mesh_series(
+    common: &Common,
+    mesh: &mut dyn MeshSeries,
+    store: &Path,
+    options: &EncodeOptions,
+) -> anyhow::Result<EncodeSummary> {
+    let num_variables = mesh.variables().len();
+    let num_samples = mesh.num_points() as u64 * mesh.times().num_steps() as u64;
+    behind_bar(common, store, options, [num_samples, num_variables as u64], |progress| {
+        Ok(encode_mesh(mesh, store, options, progress)?)
+    })
+}
+
+/// * `numbers`: of source samples of a variable, and of variables in the source
+fn behind_bar(
+    common: &Common,
+    store: &Path,
+    options: &EncodeOptions,
+    [num_samples, num_variables]: [u64; 2],
+    run: impl FnOnce(&mut dyn FnMut(encode::Progress)) -> anyhow::Result<EncodeReport>,
+) -> anyhow::Result<EncodeSummary> {
     if common.memory < TIGHT_MEMORY {
         return_large_blocks();
     }
@@ -165,7 +243,7 @@ pub fn encode_series(
         store.display()
     ));
     let mut bar: Option<Progress> = None;
-    let report = encode(series, store, options, &mut |done| {
+    let report = run(&mut |done| {
         let bar = bar.get_or_insert_with(|| {
             Progress::new("encode", done.raw_bytes, Counted::Bytes, common.quiet || common.json)
         });
@@ -178,10 +256,10 @@ pub fn encode_series(
         output::warning(&format!("{} infinite samples were masked, as NaN is", report.num_infinite));
     }
     let num_variables = match options.variables.len() {
-        0 => series.variables().len(),
-        n => n,
-    } as u64;
-    let num_steps = series.times().num_steps();
+        0 => num_variables,
+        n => n as u64,
+    };
+    let num_steps = (report.steps_read + report.steps_resumed).max(1);
     let read_bytes = report.raw_bytes as f64 * report.steps_read as f64 / num_steps as f64;
     Ok(EncodeSummary {
         store: store.to_owned(),
@@ -197,6 +275,7 @@ pub fn encode_series(
         masked_samples: report.num_masked,
         infinite_samples: report.num_infinite,
         threads: rayon::current_num_threads(),
+        mesh: report.voxels,
     })
 }
 
@@ -211,8 +290,9 @@ impl EncodeSummary {
                 format!("{read}{more} steps in {secs:.1} s ({rate}/s, {} threads)", self.threads)
             }
         };
+        let mesh = self.mesh.map_or(String::new(), |mesh| format!("\n{}", mesh_text(&mesh)));
         format!(
-            "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {done}",
+            "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {done}{mesh}",
             self.store.display(),
             ByteSize(self.raw_bytes),
             ByteSize(self.stored_bytes),
@@ -220,4 +300,34 @@ impl EncodeSummary {
             self.bits_per_sample,
         )
     }
+}
+
+/// What became of a mesh, for people.
+fn mesh_text(mesh: &VoxelReport) -> String {
+    let census = &mesh.census;
+    let mut text = format!(
+        "{} tetrahedra from {} cells in {} leaves of mean depth {:.2}, at most {}, in {:.1} s",
+        census.num_tetrahedra,
+        census.cells.total(),
+        mesh.num_leaves,
+        mesh.mean_depth,
+        mesh.max_depth,
+        mesh.secs[0] + mesh.secs[1],
+    );
+    if mesh.num_cut_off > 0 {
+        text += &format!(
+            "; {} leaves of depth {} have voxels with several points (--max-depth)",
+            mesh.num_cut_off, mesh.max_depth
+        );
+    }
+    let left_out = [
+        (census.num_flat, "flat tetrahedra"),
+        (census.num_blanked, "blanked cells"),
+        (census.num_duplicate, "duplicate cells"),
+        (census.num_non_manifold, "non-manifold cells"),
+    ];
+    for (count, what) in left_out.into_iter().filter(|(count, _)| *count > 0) {
+        text += &format!("; {count} {what} left out");
+    }
+    text
 }

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use chronoxel_core::{TimeAxis, UniformGrid, time_tree::num_time_levels};
 use chronoxel_ingest::TimeSeries;
-use chronoxel_store::Store;
+use chronoxel_store::{Header, Store};
 
 use super::{
     args::{Common, SourceArgs},
@@ -75,6 +75,17 @@ fn grid_json(grid: &UniformGrid) -> Value {
     })
 }
 
+/// The grid of a store; of a mesh, what it was in the source and the grid of the finest level.
+fn store_grid_json(header: &Header) -> Value {
+    let mut grid = grid_json(&header.grid);
+    if let Some(mesh) = &header.mesh {
+        grid["type"] = mesh.kind.as_str().into();
+        grid["num_cells"] = mesh.num_cells.into();
+        grid["num_points"] = mesh.num_points.into();
+    }
+    grid
+}
+
 fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
     let store = Store::open(path)?;
     let header = store.header();
@@ -126,7 +137,7 @@ fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
     });
     Ok(InfoReport {
         kind: "store",
-        grid: grid_json(&header.grid),
+        grid: store_grid_json(header),
         num_steps: header.times.num_steps(),
         times: header.times.times.clone(),
         time_units: header.times.units.clone(),

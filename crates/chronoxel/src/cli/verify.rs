@@ -6,7 +6,7 @@ use clap::{Args, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use chronoxel_ingest::measure;
+use chronoxel_ingest::{Measurement, Opened, measure, measure_mesh};
 use chronoxel_store::{Store, verify};
 
 use super::{
@@ -80,13 +80,27 @@ fn measure_against(
     args: &VerifyArgs,
     report: &mut VerifyReport,
 ) -> anyhow::Result<()> {
-    let mut series = args.hints.open(common, &args.against)?;
+    let source = args.hints.open_any(common, &args.against)?;
     let num_finished = store.header().num_steps_finished as usize;
     let steps = match args.steps {
         Some(range) => range.resolve(num_finished)?,
         None => (0..num_finished).collect(),
     };
-    measure_series(common, store, series.as_mut(), &steps, report)
+    match source {
+        Opened::Volume(mut series) => measure_series(common, store, series.as_mut(), &steps, report),
+        Opened::Mesh(mut mesh) => {
+            let bar = measure_bar(common, &steps);
+            let steps = steps.iter().copied().inspect(|_| bar.advance(1));
+            let found = measure_mesh(store, mesh.as_mut(), common.memory.0, steps)?;
+            bar.finish();
+            add_errors(found, report);
+            Ok(())
+        }
+    }
+}
+
+fn measure_bar(common: &Common, steps: &[usize]) -> Progress {
+    Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json)
 }
 
 /// Adds the errors of a store against a series to a report.
@@ -97,10 +111,14 @@ pub fn measure_series(
     steps: &[usize],
     report: &mut VerifyReport,
 ) -> anyhow::Result<()> {
-    let bar =
-        Progress::new("measure", steps.len() as u64, Counted::Items("steps"), common.quiet || common.json);
+    let bar = measure_bar(common, steps);
     let found = measure(store, series, steps.iter().copied().inspect(|_| bar.advance(1)))?;
     bar.finish();
+    add_errors(found, report);
+    Ok(())
+}
+
+fn add_errors(found: Measurement, report: &mut VerifyReport) {
     for errors in found.variables {
         let [min, max, avg] = errors.mse_range();
         let entry = json!({
@@ -113,7 +131,6 @@ pub fn measure_series(
     }
     report.problems.extend(found.problems);
     report.ok = report.problems.is_empty();
-    Ok(())
 }
 
 impl VerifyReport {

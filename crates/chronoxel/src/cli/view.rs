@@ -296,7 +296,7 @@ impl ViewArgs {
             size: self.size,
             step_voxels: self.step,
             lighting: (self.lighting == Switch::On).then(Lighting::default),
-            opacity_unit: self.transfer.opacity_unit.unwrap_or(grid.smallest_spacing()),
+            opacity_unit: self.transfer.opacity_unit.unwrap_or(session.store().header().opacity_unit()),
             level: self.level,
             coherence: self.coherence.view(),
         })

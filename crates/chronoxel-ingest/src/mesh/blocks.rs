@@ -1,0 +1,95 @@
+//! Structured blocks: lattices of points whose hexahedra are split into five tetrahedra each.
+//!
+//! The corners of a lattice are coloured like a chess board by the sum of their indices. The diagonals of all faces
+//! join corners of the even colour, so that neighbouring cells agree on their common face: one tetrahedron has the four even corners of a cell, and
+//! each odd corner is cut off by one of its own.
+
+use std::path::Path;
+
+use super::{CellKind, MeshCensus, Sieve, VisitTetrahedron};
+use crate::SourceError;
+
+/// One lattice of points, x fastest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Block {
+    /// Points along the three axes.
+    pub dims: [usize; 3],
+    /// Number of its first point in the mesh.
+    pub first_point: usize,
+}
+
+/// The blocks of a structured grid.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Blocks {
+    /// In the order of their points.
+    pub blocks: Vec<Block>,
+    /// Per point of all blocks: whether cells with it are left out. Empty where none is.
+    pub blanked: Vec<bool>,
+}
+
+/// The five tetrahedra of a cell whose first corner is even, corners being numbered `x + 2 y + 4 z`; right-handed in a right-handed lattice.
+const EVEN: [[usize; 4]; 5] = [[0, 5, 3, 6], [1, 3, 0, 5], [2, 0, 3, 6], [4, 5, 0, 6], [7, 3, 5, 6]];
+
+/// The same where the first corner is odd.
+const ODD: [[usize; 4]; 5] = [[1, 2, 4, 7], [0, 1, 2, 4], [3, 2, 1, 7], [5, 1, 4, 7], [6, 4, 2, 7]];
+
+impl Blocks {
+    /// Hands the tetrahedra of all blocks to `visit`.
+    pub fn for_each_tetrahedron(
+        &self,
+        path: &Path,
+        points: &[[f64; 3]],
+        flat_threshold: f64,
+        visit: &mut VisitTetrahedron<'_>,
+    ) -> Result<MeshCensus, SourceError> {
+        let mut sieve = Sieve::new(points.len(), flat_threshold, visit);
+        for block in &self.blocks {
+            let layer_points = block.dims[0] * block.dims[1];
+            for_each_of_block(*block, &self.blanked, &mut sieve, &mut |layer, out| {
+                let start = block.first_point + layer * layer_points;
+                out.extend_from_slice(&points[start..start + layer_points]);
+                Ok(())
+            })?;
+        }
+        sieve.finish(path)
+    }
+}
+
+/// Hands over the points of one layer of constant k by appending them.
+pub(crate) type ReadLayer<'a> = dyn FnMut(usize, &mut Vec<[f64; 3]>) -> Result<(), SourceError> + 'a;
+
+/// Takes the tetrahedra of one block through a sieve, holding two layers of its points at a time.
+pub(crate) fn for_each_of_block(
+    block: Block,
+    blanked: &[bool],
+    sieve: &mut Sieve<'_, '_>,
+    read_layer: &mut ReadLayer<'_>,
+) -> Result<(), SourceError> {
+    let [nx, ny, nz] = block.dims;
+    if nx < 2 || ny < 2 || nz < 2 {
+        return Ok(());
+    }
+    let (mut lower, mut upper) = (Vec::new(), Vec::new());
+    read_layer(0, &mut upper)?;
+    for k in 0..nz - 1 {
+        std::mem::swap(&mut lower, &mut upper);
+        upper.clear();
+        read_layer(k + 1, &mut upper)?;
+        for (j, i) in (0..ny - 1).flat_map(|j| (0..nx - 1).map(move |i| (j, i))) {
+            let in_layer = |corner: usize| (i + (corner & 1)) + nx * (j + (corner >> 1 & 1));
+            let index = |corner: usize| block.first_point + nx * ny * (k + (corner >> 2)) + in_layer(corner);
+            sieve.census.cells.hexahedra += 1;
+            if !blanked.is_empty() && (0..8).any(|corner| blanked[index(corner)]) {
+                sieve.census.num_blanked += 1;
+                continue;
+            }
+            let corners: [[f64; 3]; 8] =
+                std::array::from_fn(|c| if c < 4 { lower[in_layer(c)] } else { upper[in_layer(c)] });
+            for tetrahedron in if (i + j + k) % 2 == 0 { EVEN } else { ODD } {
+                let points = tetrahedron.map(|c| index(c) as u32);
+                sieve.take(CellKind::Hexahedron, points, tetrahedron.map(|c| corners[c]))?;
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,8 @@
+//! Meshes: what their cells become, and the files that they come from.
+
+mod conformity;
+mod files;
+mod plot3d;
+mod real_data;
+mod refused;
+mod split;
