@@ -7,15 +7,17 @@
 //! | `shockbubble` | compressible gas: a shock runs over a light bubble | `density` |
 //! | `swirl` | nothing: a moving pattern for tests of playback only | `playback_test_pattern` |
 //! | `twist` | nothing: a twisted curvilinear mesh with fields in closed form | `pulse`, `slope` |
+//! | `fade` | nothing: the first step of a mesh in files, fading linearly to zero | those of the files |
 //!
-//! All know `dims` (`128` or `160x64x64`) and `steps`. A run of a solver covers the same stretch of physical
-//! time whatever `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
+//! All but `fade`, which takes `mesh` (files between commas), know `dims` (`128` or `160x64x64`) and `steps`. A run of a solver covers the same
+//! stretch of physical time whatever `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
 //! the last opened step, and going back starts over.
 //!
 //! The numbers are the same on every machine and for any number of threads: work is divided into independent
 //! slices and pencils, sums are taken in a fixed order, and transcendental functions come from `libm`.
 
 pub mod euler;
+mod fade;
 mod fourier;
 pub mod navier_stokes;
 mod plume;
@@ -32,7 +34,7 @@ use crate::mesh::Opened;
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume, vortex, shockbubble, twist, and swirl for tests of playback";
+const NAMES: &str = "plume, vortex, shockbubble, twist, fade, and swirl for tests of playback";
 
 /// Opens a built-in simulation on a uniform grid as a source; nothing is computed yet.
 ///
@@ -56,6 +58,7 @@ pub fn open_any(spec: &str) -> Result<Opened, SourceError> {
         "vortex" => vortex::open(&spec)?,
         "shockbubble" => shockbubble::open(&spec)?,
         "swirl" => swirl::open(&spec)?,
+        "fade" => return Ok(Opened::Mesh(fade::open(&spec)?)),
         "twist" => return Ok(Opened::Mesh(twist::open(&spec)?)),
         _ => {
             return Err(invalid(

@@ -102,13 +102,15 @@ impl Geometry {
         }
     }
 
-    /// Bytes held.
+    /// The most bytes held while it is read and afterwards.
     fn most_bytes(&self) -> u64 {
         let topology = match &self.topology {
             Topology::Blocks(blocks) => blocks.blanked.len() as u64,
             Topology::Cells(cells) => cells.most_bytes(self.points.len()),
         };
-        (size_of::<[f64; 3]>() * self.points.len()) as u64 + topology
+        // While points are read, their numbers lie beside them as the file has them.
+        let point_bytes = (size_of::<[f64; 3]>() * self.points.len()) as u64;
+        point_bytes + topology.max(point_bytes)
     }
 }
 

@@ -14,7 +14,7 @@ use super::OpenedFile;
 use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points, points_of};
 use super::volume_file::{FileHeader, FileTimes, VolumeFile, checked_grid};
 use super::vtk_arrays::Array;
-use super::vtk_cells::{Numbers, Runs, read_cells};
+use super::vtk_cells::{Numbers, Runs, read_cells, read_ends};
 use super::vtk_legacy_scan::{DataSet, Legacy, LegacyCells};
 use super::vtr::{product_of_axes, uniform_note};
 use super::vts::{lattice, lattice_shape};
@@ -190,11 +190,8 @@ impl MeshFile for LegacyMesh {
                 if first != 0 {
                     return Err(SourceError::corrupt(path, "OFFSETS", first, "the first one must be 0"));
                 }
-                let mut ends = Vec::new();
-                for _ in 0..num_cells {
-                    ends.push(offsets.next_whole()?);
-                }
-                read_cells(path, num_cells, types, &Runs::Ends(ends), numbers(connectivity)?)?
+                let runs = read_ends(path, num_cells, &mut offsets)?;
+                read_cells(path, num_cells, types, &runs, numbers(connectivity)?)?
             }
         };
         Ok(Topology::Cells(CheckedCells::new(path, cells, self.header.grid.num_points)?))
