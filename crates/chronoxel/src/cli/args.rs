@@ -103,14 +103,6 @@ impl SourceHints {
         Ok(sources::open(source, &self.options(common))?)
     }
 
-    /// Opens a source with these hints, whatever its grid.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being read.
-    pub fn open_any(&self, common: &Common, source: &[String]) -> anyhow::Result<Opened> {
-        Ok(sources::open_any(source, &self.options(common))?)
-    }
-
     /// The hints, as readers take them.
     pub fn options(&self, common: &Common) -> SourceOptions {
         SourceOptions {
