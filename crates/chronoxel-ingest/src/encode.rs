@@ -169,6 +169,8 @@ struct Job {
     finest_samples: u64,
     /// What the cores of nodes above the finest may take in memory, while the bricks of a mesh are made.
     core_bytes: u64,
+    /// Whether the windows of nodes begin out of phase.
+    interleaved: bool,
 }
 
 impl Job {
@@ -263,6 +265,7 @@ impl Job {
             num_leaves,
             num_values,
             finest_samples,
+            interleaved: options.interleaved,
             core_bytes,
         })
     }
@@ -347,6 +350,7 @@ impl Job {
             source_samples: self.finest_samples,
             layout: &self.description.layout,
             num_steps: self.num_steps() as u32,
+            interleaved: self.interleaved,
             stride: self.description.time_tree.map_or(1, |entry| entry.stride),
             folder,
             scratch_bytes: self.portions.scratch_bytes / self.variables.len() as u64,

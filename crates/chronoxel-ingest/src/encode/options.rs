@@ -50,6 +50,8 @@ pub struct EncodeOptions {
     pub window: Option<u32>,
     /// Stages of a palette, 1 to 3; by default 1.
     pub stages: Option<u8>,
+    /// Whether the windows of different bricks begin at different steps (lum2001, section 3.4), so that no step replaces many: off to compare.
+    pub interleaved: bool,
     /// Largest error of a source sample, in units of the variable's range: `range`, else what was seen of it so far
     /// when a brick is coded, which can only be stricter than the final one.
     pub max_error: Option<f64>,
@@ -79,6 +81,7 @@ impl Default for EncodeOptions {
             bits: None,
             window: None,
             stages: None,
+            interleaved: true,
             max_error: None,
             range: None,
             brick_edge: 32,
@@ -273,6 +276,9 @@ impl EncodeOptions {
             "max_error": self.max_error,
             "range": self.range,
         });
+        if !self.interleaved {
+            recorded["interleaved"] = false.into();
+        }
         if is_mesh {
             recorded["field_threshold"] = self.voxels.field_threshold.into();
             recorded["max_depth"] = self.voxels.max_depth.into();

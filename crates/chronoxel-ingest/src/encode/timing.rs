@@ -13,6 +13,8 @@ pub struct Timing {
     pub window: u32,
     /// Steps of the series.
     pub num_steps: u32,
+    /// Whether phases differ from node to node.
+    pub interleaved: bool,
 }
 
 impl Timing {
@@ -25,7 +27,11 @@ impl Timing {
     /// That of a node whose place counts as `place`.
     pub fn phase_of(&self, place: u64) -> u32 {
         // There is no border between windows to spread where there is one window.
-        if self.num_steps <= self.window { 0 } else { (place % u64::from(self.window)) as u32 }
+        if !self.interleaved || self.num_steps <= self.window {
+            0
+        } else {
+            (place % u64::from(self.window)) as u32
+        }
     }
 
     /// Place of a step in the window that holds it: `0 .. L`.
@@ -46,7 +52,7 @@ mod tests {
     #[test]
     fn windows_out_of_phase_partition_the_series() {
         for (window, num_steps) in [(1, 5), (2, 5), (8, 3), (8, 8), (8, 21), (16, 40)] {
-            let timing = Timing { window, num_steps };
+            let timing = Timing { window, num_steps, interleaved: true };
             for phase in 0..window {
                 let ends: Vec<u32> = (0..num_steps).filter(|&s| timing.closes(phase, s)).collect();
                 assert_eq!(ends.last(), Some(&(num_steps - 1)));
@@ -62,15 +68,16 @@ mod tests {
 
     #[test]
     fn a_short_series_is_one_window() {
-        let timing = Timing { window: 8, num_steps: 8 };
+        let timing = Timing { window: 8, num_steps: 8, interleaved: true };
         let node = NodeId::new(0, [1, 1, 1]);
         assert_eq!((timing.phase(node), timing.phase_of(7)), (0, 0));
-        assert_eq!(Timing { window: 8, num_steps: 9 }.phase(node), 1);
+        assert_eq!(Timing { window: 8, num_steps: 9, interleaved: true }.phase(node), 1);
+        assert_eq!(Timing { window: 8, num_steps: 9, interleaved: false }.phase(node), 0);
     }
 
     #[test]
     fn a_step_closes_an_equal_share_of_the_nodes() {
-        let timing = Timing { window: 8, num_steps: 100 };
+        let timing = Timing { window: 8, num_steps: 100, interleaved: true };
         let nodes = (0..512u32).map(|i| NodeId::new(0, [i % 8, i / 8 % 8, i / 64]));
         let mut closing = [0; 8];
         nodes.for_each(|node| {

@@ -234,7 +234,7 @@ impl<T: Real> Open<T> {
         let windows = match coding.how {
             How::Steps { .. } => None,
             How::Windows { window, .. } => {
-                let timing = Timing { window, num_steps: places.num_steps };
+                let timing = Timing { window, num_steps: places.num_steps, interleaved: places.interleaved };
                 Some(OpenWindows::new(timing, places, spending)?)
             }
         };
@@ -257,6 +257,8 @@ pub struct Places<'a> {
     pub layout: &'a BrickLayout,
     /// Steps of the series.
     pub num_steps: u32,
+    /// Whether the windows of nodes begin out of phase.
+    pub interleaved: bool,
     /// Every so many samples along each axis take part in the temporal error.
     pub stride: u32,
     /// Where scratch files may lie.

@@ -14,6 +14,7 @@ use super::{
     WrongUsage,
     args::{Common, SourceArgs, parse_not_negative, parse_range, parse_store_path},
     output,
+    view::Switch,
 };
 use crate::{
     bytes::ByteSize,
@@ -54,6 +55,9 @@ pub struct EncodeArgs {
     /// Stages of a palette, each coding what those before leave: 1, 2 or 3 [default: 1]
     #[arg(long, value_name = "N")]
     stages: Option<u8>,
+    /// Begin the windows of different bricks at different steps, so that no step of playing replaces many bricks at once
+    #[arg(long, value_name = "SWITCH", default_value = "on")]
+    interleave: Switch,
     /// Samples along the edge of a brick's core: 8, 16, 32, 64 or 128
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = parse_brick)]
     brick: usize,
@@ -148,6 +152,7 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
         bits: args.bits,
         window: args.window,
         stages: args.stages,
+        interleaved: args.interleave == Switch::On,
         max_error: args.max_error,
         range: args.range,
         brick_edge: args.brick,

@@ -244,7 +244,7 @@ impl Player {
         let items = self.session.select(view, step, 0.0, &mut faults, Some(&self.cut))?;
         let needed = self.needed(&items);
         let [hits, misses] = self.count(&needed);
-        self.want(view, place, &spans, &needed, &adapted.wanted);
+        self.want(view, place, &spans, &needed, (&adapted.wanted, is_at_rest));
         self.request();
         self.wait_for(&needed, place, &mut waited)?;
         let (mut items, mut num_stand_ins) = self.with_stand_ins(items, step);
@@ -302,8 +302,8 @@ impl Player {
         let Self { session, residency, errors, cut, .. } = self;
         let Some(errors) = errors else { return false };
         let volume = session.view_volume(view);
-        let mut nodes = frame_nodes(session, view, &volume, &spans, residency, errors, false);
-        cut.nodes().all(|node| nodes.is_resident(node))
+        let mut nodes = frame_nodes(session, view, &volume, &spans, residency, errors);
+        drawn_nodes(cut).all(|node| nodes.is_resident(node))
     }
 }
 
@@ -350,7 +350,6 @@ fn frame_nodes<'a>(
     spans: &'a StepSpans,
     residency: &'a Residency<HeldKey>,
     errors: &'a mut ColorErrors,
-    assumes_resident: bool,
 ) -> FrameNodes<'a> {
     let store = session.store();
     FrameNodes {
@@ -362,10 +361,16 @@ fn frame_nodes<'a>(
         view,
         volume,
         spans,
+        next: None,
         residency,
         errors,
-        assumes_resident,
+        assumes_resident: false,
     }
+}
+
+/// Nodes of which something is drawn: those on the cut, and those that children are missing of.
+fn drawn_nodes(cut: &ActiveCut) -> impl Iterator<Item = NodeId> + '_ {
+    cut.nodes().chain(cut.partial_nodes())
 }
 
 /// The cut and what it needs.
@@ -375,11 +380,18 @@ impl Player {
         if !self.errors.as_ref().is_some_and(|errors| errors.fits(view)) {
             self.errors = Some(ColorErrors::new(view, self.session.variable_range()));
         }
+        let next =
+            self.place.and_then(|place| self.spans_in_memory(self.step_at(*self.coming(place).first()?)));
         let Self { session, residency, errors, cut, pace, .. } = self;
         let volume = session.view_volume(view);
         let tree = session.store().tree();
         let errors = errors.as_mut().expect("made above");
-        let mut nodes = frame_nodes(session, view, &volume, spans, residency, errors, pace.is_none());
+        let mut nodes = FrameNodes {
+            next: next.as_deref().filter(|_| !is_at_rest),
+            // What is missing at full quality is waited for, or stood in for.
+            assumes_resident: pace.is_none(),
+            ..frame_nodes(session, view, &volume, spans, residency, errors)
+        };
         let limits = CutLimits {
             cost: pace.as_ref().filter(|_| !is_at_rest).map_or(f64::INFINITY, Pace::cost_limit),
             bytes: (residency.budget_bytes() as f64 * CUT_SHARE) as usize,
@@ -388,7 +400,7 @@ impl Player {
         };
         let change = cut.adapt(tree, &limits, &mut nodes);
         let (mut cost, mut num_nodes, mut num_drawn, mut pixels) = (0.0, 0, 0, 0.0);
-        for node in cut.nodes() {
+        for node in drawn_nodes(cut) {
             num_nodes += 1;
             if nodes.drawn(node).is_some() {
                 num_drawn += 1;

@@ -136,6 +136,8 @@ pub(super) struct FrameNodes<'a> {
     pub view: &'a View,
     pub volume: &'a ViewVolume,
     pub spans: &'a StepSpans,
+    /// The spans of the step that is likely to come next, as far as they are in memory: a split that the next frame could not show is not done.
+    pub next: Option<&'a [Option<Spans>]>,
     pub residency: &'a Residency<HeldKey>,
     pub errors: &'a mut ColorErrors,
     /// Whether to say of every node that it is in memory, or will be waited for.
@@ -164,29 +166,9 @@ impl FrameNodes<'_> {
         [low, std::array::from_fn(|a| (low[a] + size).min(self.grid.dims[a] as f64 - 1.0).max(low[a]))]
     }
 
-    /// Pixels per world unit where the node is nearest, and the radius of the ball around it.
-    fn scale(&self, node: NodeId) -> (f64, f64) {
-        let [low, high] = self.region(node).map(|corner| self.grid.world_from_voxel(corner));
-        let radius = 0.5 * (0..3).map(|a| (high[a] - low[a]).powi(2)).sum::<f64>().sqrt();
-        let camera = &self.view.camera;
-        let per_unit = self.view.size[1] as f64 / (2.0 * camera.half_height());
-        match camera.projection() {
-            chronoxel_core::Projection::Orthographic { .. } => (per_unit, radius),
-            chronoxel_core::Projection::Perspective { .. } => {
-                let [position, forward] = [camera.position(), camera.axes()[2]];
-                let nearest: [f64; 3] = std::array::from_fn(|a| position[a].clamp(low[a], high[a]));
-                let distance = (0..3).map(|a| (nearest[a] - position[a]).powi(2)).sum::<f64>().sqrt();
-                let depth: f64 = (0..3).map(|a| (nearest[a] - position[a]) * forward[a]).sum();
-                // Within the box: as near as a sample of it.
-                let least = self.grid.smallest_spacing();
-                (per_unit / depth.max(0.5 * distance).max(least), radius)
-            }
-        }
-    }
-
     /// Edge of a voxel of a node in pixels, where it is largest (leven2002, section 5.1).
     pub fn pixels_per_voxel(&self, node: NodeId) -> f64 {
-        self.scale(node).0 * self.grid.smallest_spacing() * f64::from(1u32 << node.level.min(31))
+        self.volume.pixels_per_voxel(self.region(node), node.level, self.grid, self.view.size[1])
     }
 }
 
@@ -218,10 +200,10 @@ impl NodeView for FrameNodes<'_> {
         if matches!(record.kind, SpanKind::Constant(_)) && record.mask.is_none() {
             return 1.0;
         }
-        let (per_unit, radius) = self.scale(node);
         let num_pixels = (self.view.size[0] * self.view.size[1]) as f64;
-        // The mean shadow of a cube is half that of the ball around it.
-        let area = (0.5 * std::f64::consts::PI * (radius * per_unit).powi(2)).min(num_pixels);
+        // The mean shadow of a cube is one and a half of its faces.
+        let edge_pixels = self.pixels_per_voxel(node) * self.layout.edge as f64;
+        let area = (1.5 * edge_pixels * edge_pixels).min(num_pixels);
         let along_ray = self.layout.edge as f64 / self.view.step_voxels;
         area * along_ray + DECODE_COST * self.layout.num_full() as f64
     }
@@ -231,10 +213,21 @@ impl NodeView for FrameNodes<'_> {
     }
 
     fn is_resident(&mut self, node: NodeId) -> bool {
-        match self.spans.record(self.tree, node) {
-            _ if self.assumes_resident => true,
-            None => false,
-            Some(_) => self.key(node).is_none_or(|(key, _)| self.residency.state(&key) == State::Resident),
+        if self.assumes_resident || !self.volume.may_see(self.region(node)) {
+            return true;
         }
+        let is_here = |record: &SpanRecord| {
+            let is_transparent = self.view.transfer.is_transparent_over(record.drawn_range);
+            key_of(node.level, record).is_none_or(|key| {
+                is_transparent || matches!(self.residency.state(&key), State::Resident | State::Failed)
+            })
+        };
+        let rank = self.tree.rank(node);
+        let at_next = self
+            .next
+            .zip(rank)
+            .and_then(|(spans, rank)| spans.get(usize::from(node.level))?.as_ref()?.get(rank));
+        // Spans that cannot be read are dealt with in drawing.
+        self.spans.record(self.tree, node).is_none_or(is_here) && at_next.is_none_or(is_here)
     }
 }

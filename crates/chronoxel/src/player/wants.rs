@@ -10,7 +10,7 @@ use chronoxel_store::{Header, Store};
 use chronoxel_stream::{Tier, Want};
 
 use super::{
-    Player,
+    Player, drawn_nodes,
     nodes::{StepSpans, key_of},
 };
 use crate::session::{Held, HeldKey, View};
@@ -19,14 +19,14 @@ use crate::session::{Held, HeldKey, View};
 impl Player {
     /// Tells the state machine what this frame needs and what the next ones will.
     ///
-    /// * `of_splits`: nodes for which the cut waits
+    /// * `of_splits`: nodes for which the cut waits, and whether the step rests: else their data of this step comes too late
     pub(super) fn want(
         &mut self,
         view: &View,
         place: usize,
         spans: &StepSpans,
         needed: &BTreeMap<HeldKey, SpanRecord>,
-        of_splits: &[NodeId],
+        (of_splits, is_at_rest): (&[NodeId], bool),
     ) {
         let mut wants =
             Wants::new(self.session.store(), self.session.variable(), self.residency.budget_bytes());
@@ -38,7 +38,7 @@ impl Player {
         {
             wants.add(key, record, Tier::Needed);
         }
-        for node in of_splits {
+        for node in of_splits.iter().filter(|_| is_at_rest || self.num_ahead == 1) {
             if let Some((key, record)) =
                 spans.record(&tree, *node).and_then(|r| Some((key_of(node.level, r)?, r)))
             {
@@ -68,7 +68,7 @@ impl Player {
         let volume = self.session.view_volume(view);
         let header = self.session.store().header();
         // A split that waits is done at a later step, when its children are there.
-        let nodes = self.cut.nodes().chain(of_splits.iter().copied());
+        let nodes = drawn_nodes(&self.cut).chain(of_splits.iter().copied());
         let on_cut: Vec<NodeId> = nodes.filter(|node| volume.may_see(box_of(*node, header))).collect();
         // The span of each that was wanted last.
         let mut last: Vec<Option<SpanRecord>> = vec![None; on_cut.len()];
