@@ -193,7 +193,7 @@ impl Session {
         counts: &mut BrickCounts,
         faults: &mut Faults,
     ) -> anyhow::Result<Vec<GpuBrick>> {
-        let fetched = self.fetch_payloads(payloads, items, needs);
+        let fetched = self.fetch_payloads(payloads, needs);
         let mut bricks = Vec::with_capacity(items.len());
         for (item, needs) in items.iter().zip(needs) {
             let mut node = item.node;
@@ -243,7 +243,6 @@ impl Session {
     fn fetch_payloads(
         &mut self,
         payloads: &mut Payloads,
-        items: &[DrawItem],
         needs: &[Needs],
     ) -> HashMap<CodedKey, (anyhow::Result<Held>, bool)> {
         let mut fetched = HashMap::new();
@@ -259,7 +258,6 @@ impl Session {
                 None => missing.push(need),
             }
         }
-        debug_assert_eq!(items.len(), needs.len());
         for of_level in missing.chunk_by(|a, b| a.key.level == b.key.level) {
             let level = of_level[0].key.level;
             let records: Vec<SpanRecord> = of_level.iter().map(|need| need.record).collect();
