@@ -198,7 +198,7 @@ impl Session {
         counts: &mut BrickCounts,
         faults: &mut Faults,
     ) -> anyhow::Result<Vec<GpuBrick>> {
-        let fetched = self.fetch_payloads(payloads, items, needs);
+        let fetched = self.fetch_payloads(payloads, needs);
         let mut bricks = Vec::with_capacity(items.len());
         for (item, needs) in items.iter().zip(needs) {
             let mut node = item.node;
@@ -248,7 +248,6 @@ impl Session {
     fn fetch_payloads(
         &mut self,
         payloads: &mut Payloads,
-        items: &[DrawItem],
         needs: &[Needs],
     ) -> HashMap<CodedKey, (anyhow::Result<Held>, bool)> {
         let mut fetched = HashMap::new();
@@ -265,7 +264,6 @@ impl Session {
                 None => missing.push(need),
             }
         }
-        debug_assert_eq!(items.len(), needs.len());
         self.num_read += missing.len() as u64;
         for of_level in missing.chunk_by(|a, b| a.key.level == b.key.level) {
             let level = of_level[0].key.level;
