@@ -18,7 +18,7 @@ use super::vtk_cells::{Numbers, Runs, read_cells, read_ends};
 use super::vtk_legacy_scan::{DataSet, Legacy, LegacyCells};
 use super::vtr::{product_of_axes, uniform_note};
 use super::vts::lattice_shape;
-use crate::mesh::{CheckedCells, GridType};
+use crate::mesh::GridType;
 use crate::{SourceError, StepReader};
 
 /// A file with a uniform grid.
@@ -195,7 +195,7 @@ impl MeshFile for LegacyMesh {
                 read_cells(path, num_cells, types, &runs, numbers(connectivity)?)?
             }
         };
-        Ok(Topology::Cells(CheckedCells::new(path, cells, self.header.grid.num_points)?))
+        Ok(Topology::Cells(cells))
     }
 
     fn read_values(&self, variable: usize) -> Result<Samples, SourceError> {
