@@ -20,8 +20,8 @@ fuzz_target!(|input: ([u64; 3], u8, bool, u64, [f64; 3], [f64; 3], Option<f64>, 
         spacing: Some(spacing),
         origin: Some(origin),
         dt,
-        variables: Vec::new(),
         fill_value,
+        ..SourceOptions::default()
     };
     read_source(&write("a.raw", bytes), &options);
     // The same with a header of what the samples leave over, so that the length is right.

@@ -7,7 +7,7 @@ use std::{
     sync::OnceLock,
 };
 
-use chronoxel_ingest::sources::{SourceOptions, open};
+use chronoxel_ingest::sources::{SourceOptions, open, open_mesh};
 
 /// Samples that a target reads of a step: enough to come past every header, few enough to be quick.
 const MOST_SAMPLES: usize = 1 << 18;
@@ -46,6 +46,31 @@ pub fn read_source(path: &Path, options: &SourceOptions) {
                 let Ok(samples) = reader.read_slices(1) else { break };
                 assert_eq!(samples.len(), nx * ny, "a slice has every sample");
             }
+        }
+    }
+}
+
+/// Opens a mesh, walks its tetrahedra and reads its first and last step of every variable, checking what a mesh promises.
+pub fn read_mesh(paths: &[PathBuf]) {
+    let inputs: Vec<String> = paths.iter().map(|path| path.to_string_lossy().into_owned()).collect();
+    let Ok(mut mesh) = open_mesh(&inputs, &SourceOptions::default()) else { return };
+    let (num_points, num_steps) = (mesh.num_points(), mesh.times().num_steps());
+    assert!(num_points > 0 && num_steps > 0 && !mesh.variables().is_empty());
+    let points = mesh.points().expect("the geometry was read before");
+    assert!(points.len() == num_points && points.iter().flatten().all(|x| x.is_finite()));
+    let mut num_tetrahedra = 0;
+    let walked = mesh.for_each_tetrahedron(&mut |corners| {
+        assert!(corners.iter().all(|corner| (*corner as usize) < num_points));
+        num_tetrahedra += 1;
+        Ok(())
+    });
+    if let Ok(census) = walked {
+        assert_eq!(census.num_tetrahedra, num_tetrahedra);
+    }
+    for variable in 0..mesh.variables().len().min(4) {
+        for step in [0, num_steps - 1] {
+            let Ok(values) = mesh.read_values(variable, step) else { continue };
+            assert_eq!(values.len(), num_points, "every point has a value");
         }
     }
 }

@@ -194,11 +194,6 @@ impl CheckedCells {
         sieve.finish(path)
     }
 
-    /// The cells themselves.
-    pub fn list(&self) -> &CellList {
-        &self.list
-    }
-
     /// The most bytes held by these cells, while they are compared and afterwards.
     pub fn most_bytes(&self, num_points: usize) -> u64 {
         let num_faces: usize = self.list.kinds.iter().map(|kind| kind.faces().len()).sum();

@@ -1,14 +1,17 @@
 //! One mesh series from one or many files: the same geometry and variables in all, times in increasing order.
 
+use std::path::Path;
+
 use chronoxel_core::{Samples, TimeAxis};
 use xxhash_rust::xxh3::Xxh3;
 
 use super::SourceOptions;
 use super::file_series::{check_same_variables, named_variables, select_variables, time_axis};
 use super::volume_file::{FileHeader, checked_steps, dims_text};
+use super::vtk_arrays::Array;
 use crate::mesh::{
-    Blocks, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MAX_POINTS, MeshCensus, MeshSeries,
-    VisitTetrahedron, check_points,
+    Blanked, Block, Blocks, CellList, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MAX_POINTS, MeshCensus,
+    MeshSeries, VisitTetrahedron, check_points,
 };
 use crate::{SourceError, Variable};
 
@@ -26,7 +29,8 @@ pub(crate) struct MeshShape {
 /// What lies between the points of a file.
 pub(crate) enum Topology {
     Blocks(Blocks),
-    Cells(CheckedCells),
+    /// Not compared with the points or with each other yet.
+    Cells(CellList),
 }
 
 /// One file with the values of one step, and with the geometry or the way to it.
@@ -54,59 +58,69 @@ pub(crate) trait MeshFile: Send {
     }
 }
 
-/// Points and what lies between them.
+/// A number that is another one for another geometry.
+fn digest(points: &[[f64; 3]], topology: &Topology) -> u128 {
+    let mut hash = Xxh3::new();
+    hash.update(bytemuck::cast_slice(points));
+    match topology {
+        Topology::Blocks(blocks) => {
+            for block in &blocks.blocks {
+                block.dims.iter().for_each(|n| hash.update(&n.to_le_bytes()));
+            }
+            let blanked = blocks.blanked.points.iter().chain(&blocks.blanked.cells);
+            blanked.for_each(|is_blanked| hash.update(&[u8::from(*is_blanked)]));
+        }
+        Topology::Cells(cells) => {
+            for (kind, corners) in cells.iter() {
+                hash.update(&[kind as u8]);
+                hash.update(bytemuck::cast_slice(corners));
+            }
+        }
+    }
+    hash.digest128()
+}
+
+/// What is different in a later step's points.
+fn difference(first: &[[f64; 3]], later: &[[f64; 3]]) -> String {
+    match first.iter().zip(later).position(|(a, b)| a != b) {
+        Some(point) => {
+            let ([x, y, z], [a, b, c]) = (later[point], first[point]);
+            format!("point {point} lies at ({x}, {y}, {z}) where it was at ({a}, {b}, {c})")
+        }
+        None => "the points are the same, but not the cells".to_owned(),
+    }
+}
+
+/// Points and what lies between them, ready to be walked.
 struct Geometry {
     points: Vec<[f64; 3]>,
-    topology: Topology,
+    cells: Walkable,
+}
+
+/// What lies between points, compared with them.
+enum Walkable {
+    Blocks(Blocks),
+    Cells(CheckedCells),
 }
 
 impl Geometry {
     /// Reads the geometry of a file.
     fn read(file: &dyn MeshFile) -> Result<Self, SourceError> {
+        let path = &file.header().path;
         let points = file.points()?;
-        check_points(&file.header().path, 0, &points)?;
-        Ok(Self { points, topology: file.topology()? })
-    }
-
-    /// A number that is another one for another geometry.
-    fn digest(&self) -> u128 {
-        let mut hash = Xxh3::new();
-        for point in &self.points {
-            point.iter().for_each(|x| hash.update(&x.to_le_bytes()));
-        }
-        match &self.topology {
-            Topology::Blocks(blocks) => {
-                for block in &blocks.blocks {
-                    block.dims.iter().for_each(|n| hash.update(&n.to_le_bytes()));
-                }
-                blocks.blanked.iter().for_each(|b| hash.update(&[u8::from(*b)]));
-            }
-            Topology::Cells(cells) => {
-                for (kind, corners) in cells.list().iter() {
-                    hash.update(&[kind as u8]);
-                    corners.iter().for_each(|corner| hash.update(&corner.to_le_bytes()));
-                }
-            }
-        }
-        hash.digest128()
-    }
-
-    /// What is different in a later step's geometry.
-    fn difference(&self, later: &Self) -> String {
-        match self.points.iter().zip(&later.points).position(|(a, b)| a != b) {
-            Some(point) => {
-                let ([x, y, z], [a, b, c]) = (later.points[point], self.points[point]);
-                format!("point {point} lies at ({x}, {y}, {z}) where it was at ({a}, {b}, {c})")
-            }
-            None => "the points are the same, but not the cells".to_owned(),
-        }
+        check_points(path, 0, &points)?;
+        let cells = match file.topology()? {
+            Topology::Blocks(blocks) => Walkable::Blocks(blocks),
+            Topology::Cells(list) => Walkable::Cells(CheckedCells::new(path, list, points.len())?),
+        };
+        Ok(Self { points, cells })
     }
 
     /// The most bytes held while it is read and afterwards.
     fn most_bytes(&self) -> u64 {
-        let topology = match &self.topology {
-            Topology::Blocks(blocks) => blocks.blanked.len() as u64,
-            Topology::Cells(cells) => cells.most_bytes(self.points.len()),
+        let topology = match &self.cells {
+            Walkable::Blocks(blocks) => (blocks.blanked.points.len() + blocks.blanked.cells.len()) as u64,
+            Walkable::Cells(cells) => cells.most_bytes(self.points.len()),
         };
         // While points are read, their numbers lie beside them as the file has them.
         let point_bytes = (size_of::<[f64; 3]>() * self.points.len()) as u64;
@@ -192,19 +206,18 @@ impl FileMesh {
         if self.is_compared[step] {
             return Ok(());
         }
-        let digest = match self.digest {
+        let of_file = |file: &dyn MeshFile| Ok::<_, SourceError>(digest(&file.points()?, &file.topology()?));
+        let expected = match self.digest {
             Some(digest) => digest,
-            None => *self.digest.insert(Geometry::read(self.files[0].as_ref())?.digest()),
+            None => *self.digest.insert(of_file(self.files[0].as_ref())?),
         };
-        let later = Geometry::read(self.files[step].as_ref())?;
-        if later.digest() == digest {
+        if of_file(self.files[step].as_ref())? == expected {
             self.is_compared[step] = true;
             return Ok(());
         }
-        let first = Geometry::read(self.files[0].as_ref())?;
         let problem = format!(
             "{}, by step 0 in {}; meshes that stay the same over all steps are read",
-            first.difference(&later),
+            difference(&self.files[0].points()?, &self.files[step].points()?),
             self.files[0].header().path.display()
         );
         Err(SourceError::corrupt(
@@ -252,11 +265,7 @@ fn check_same_shape(
 }
 
 /// A number of points from a file, where they can be numbered with 32 bits.
-pub(crate) fn checked_points(
-    path: &std::path::Path,
-    field: &str,
-    num_points: u64,
-) -> Result<usize, SourceError> {
+pub(crate) fn checked_points(path: &Path, field: &str, num_points: u64) -> Result<usize, SourceError> {
     match num_points {
         0 => Err(SourceError::corrupt(path, field, 0, "a mesh needs points")),
         n if n > MAX_POINTS => {
@@ -265,6 +274,29 @@ pub(crate) fn checked_points(
         n => Ok(n as usize),
     }
 }
+
+/// One structured block; what its flags of points and cells hide is left out.
+pub(crate) fn lattice(
+    path: &Path,
+    dims: [usize; 3],
+    [points, cells]: [Option<&Array>; 2],
+) -> Result<Topology, SourceError> {
+    let hidden = |flags: Option<&Array>, bit: u32| match flags {
+        Some(flags) => {
+            let read = flags.read_all(path)?;
+            Ok((0..read.len()).map(|index| read.get(index) as u32 & bit != 0).collect())
+        }
+        None => Ok(Vec::new()),
+    };
+    let blanked = Blanked::new(hidden(points, HIDDEN_POINT)?, hidden(cells, HIDDEN_CELL)?);
+    Ok(Topology::Blocks(Blocks { blocks: vec![Block { dims, first_point: 0 }], blanked }))
+}
+
+/// The flag of points without data in VTK's array of ghosts.
+const HIDDEN_POINT: u32 = 2;
+
+/// The flag of cells without data there.
+const HIDDEN_CELL: u32 = 32;
 
 /// Triples of numbers as points.
 pub(crate) fn points_of(numbers: &Samples) -> Vec<[f64; 3]> {
@@ -302,11 +334,11 @@ impl MeshSeries for FileMesh {
     fn for_each_tetrahedron(&mut self, visit: &mut VisitTetrahedron<'_>) -> Result<MeshCensus, SourceError> {
         let flat_threshold = self.flat_threshold;
         self.geometry()?;
-        let Geometry { points, topology } = self.geometry.as_ref().expect("it was read");
+        let Geometry { points, cells } = self.geometry.as_ref().expect("it was read");
         let path = &self.files[0].header().path;
-        match topology {
-            Topology::Blocks(blocks) => blocks.for_each_tetrahedron(path, points, flat_threshold, visit),
-            Topology::Cells(cells) => cells.for_each_tetrahedron(path, points, flat_threshold, visit),
+        match cells {
+            Walkable::Blocks(blocks) => blocks.for_each_tetrahedron(path, points, flat_threshold, visit),
+            Walkable::Cells(cells) => cells.for_each_tetrahedron(path, points, flat_threshold, visit),
         }
     }
 
@@ -327,7 +359,6 @@ impl MeshSeries for FileMesh {
     }
 
     fn working_bytes(&self) -> u64 {
-        // A later step's geometry is held beside the first one's only to say what differs.
         self.geometry_bytes
     }
 

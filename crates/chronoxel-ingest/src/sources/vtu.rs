@@ -14,7 +14,7 @@ use super::vtk_cells::{Numbers, read_cells, read_ends};
 use super::vts::point_array;
 use super::xml::{Document, Element};
 use crate::SourceError;
-use crate::mesh::{CheckedCells, GridType};
+use crate::mesh::GridType;
 
 /// A `.vtu` file whose arrays can be as long as its header needs.
 struct VtuFile {
@@ -77,8 +77,7 @@ impl MeshFile for VtuFile {
         let runs = read_ends(path, num_cells, &mut offsets)?;
         let corners = reader.named_array(self.cells_index, "connectivity", runs.num_corners())?;
         let cells = read_cells(path, num_cells, numbers(&types)?, &runs, numbers(&corners)?)?;
-        drop(runs);
-        Ok(Topology::Cells(CheckedCells::new(path, cells, self.header.grid.num_points)?))
+        Ok(Topology::Cells(cells))
     }
 
     fn read_values(&self, variable: usize) -> Result<Samples, SourceError> {

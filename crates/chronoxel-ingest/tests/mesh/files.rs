@@ -150,6 +150,18 @@ fn a_rectilinear_grid_that_is_uniform_says_so() {
 }
 
 #[test]
+fn hidden_points_and_cells_are_left_out() {
+    for name in ["mesh/hidden.vts", "mesh/hidden.vtk"] {
+        let mut mesh = mesh(name);
+        let walked = Walked::of(mesh.as_mut());
+        assert_eq!((walked.census.cells.hexahedra, walked.census.num_blanked), (12, 2), "{name}");
+        assert_eq!(walked.census.num_tetrahedra, 5 * 10);
+        // The flags themselves are no variable.
+        check_values(mesh.as_mut(), 1);
+    }
+}
+
+#[test]
 fn files_are_a_series_with_their_times() {
     let mut mesh = mesh("mesh_series/step[0-9].vts");
     assert_eq!(mesh.times().times, [0.5, 0.75, 2.0]);

@@ -87,20 +87,20 @@ impl SourceArgs {
 }
 
 impl SourceHints {
-    /// Opens a source with these hints, be it a uniform volume or a mesh.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being read.
-    pub fn open_any(&self, common: &Common, source: &[String]) -> anyhow::Result<Opened> {
-        Ok(sources::open_any(source, &self.options(common))?)
-    }
-
-    /// Opens a source with these hints, which must be a uniform volume.
+    /// Opens a source with these hints.
     ///
     /// # Errors
     /// Whatever keeps it from being read.
     pub fn open(&self, common: &Common, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
         Ok(sources::open(source, &self.options(common))?)
+    }
+
+    /// Opens a source with these hints, whatever its grid.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub fn open_any(&self, common: &Common, source: &[String]) -> anyhow::Result<Opened> {
+        Ok(sources::open_any(source, &self.options(common))?)
     }
 
     /// The hints, as readers take them.
