@@ -33,7 +33,11 @@ impl Brick {
         let n = (36.0 / cell).ceil() as usize + 1;
         let at = |i: usize| [i % n, i / n % n, i / n / n];
         let bent = |[x, y, z]: [f64; 3]| {
-            [x + 0.2 * cell * (0.3 * y).sin(), y + 0.2 * cell * (0.2 * z).cos(), z + 0.2 * cell * (0.4 * x).sin()]
+            [
+                x + 0.2 * cell * (0.3 * y).sin(),
+                y + 0.2 * cell * (0.2 * z).cos(),
+                z + 0.2 * cell * (0.4 * x).sin(),
+            ]
         };
         let places = (0..n * n * n).map(|i| bent(at(i).map(|p| p as f64 * cell))).collect();
         let mut tetrahedra = Vec::new();
@@ -70,7 +74,13 @@ fn overlaps(criterion: &mut Criterion) {
                 let shape = Shape::new(tetrahedron.corners(&brick.places));
                 boxes.iter().filter(|[low, high]| shape.overlaps(*low, *high)).count()
             };
-            black_box(brick.tetrahedra.par_chunks(512).map(|part| part.iter().map(count).sum::<usize>()).sum::<usize>())
+            black_box(
+                brick
+                    .tetrahedra
+                    .par_chunks(512)
+                    .map(|part| part.iter().map(count).sum::<usize>())
+                    .sum::<usize>(),
+            )
         });
     });
     group.finish();
@@ -94,7 +104,8 @@ fn samples(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("apply", cell), |bencher| {
             let at = BrickPlace { depth: 0, brick: [0; 3] };
             bencher.iter(|| {
-                out.par_iter_mut().for_each(|out| apply(&map, at, &brick.layout, &brick.places, &values, out));
+                out.par_iter_mut()
+                    .for_each(|out| apply(&map, at, &brick.layout, &brick.places, &values, out));
             });
         });
         group.finish();
@@ -103,7 +114,10 @@ fn samples(criterion: &mut Criterion) {
 
 fn configured() -> Criterion {
     let threads = std::env::var("CHRONOXEL_BENCH_THREADS").ok().and_then(|n| n.parse().ok()).unwrap_or(2);
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().expect("the first pool of the process");
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .expect("the first pool of the process");
     Criterion::default().sample_size(20)
 }
 

@@ -202,7 +202,9 @@ impl Job {
         let nodes: Vec<u64> = levels.iter().map(|level| tree.nodes(level.level).len() as u64).collect();
         let num_leaves = levels
             .iter()
-            .flat_map(|level| tree.nodes(level.level).iter().map(|&m| NodeId { level: level.level, morton: m }))
+            .flat_map(|level| {
+                tree.nodes(level.level).iter().map(|&m| NodeId { level: level.level, morton: m })
+            })
             .filter(|node| tree.is_leaf(*node))
             .count() as u64;
         let time_tree = TimeTreeEntry::of_samples(finest_samples);

@@ -322,8 +322,7 @@ fn check_same(store: &Store, series: &dyn TimeSeries) -> Result<(), EncodeError>
     let header = store.header();
     let dims = |mesh: bool, dims: [usize; 3]| if mesh { "of a mesh".to_owned() } else { format!("{dims:?}") };
     if series.grid().dims != header.grid.dims || header.mesh.is_some() {
-        let (theirs, ours) =
-            (dims(false, series.grid().dims), dims(header.mesh.is_some(), header.grid.dims));
+        let (theirs, ours) = (dims(false, series.grid().dims), dims(header.mesh.is_some(), header.grid.dims));
         return Err(other("dimensions", theirs, ours));
     }
     check_axes(store, series.times(), series.variables())

@@ -35,7 +35,8 @@ pub mod writer;
 pub use chunk::stored_len;
 pub use error::StoreError;
 pub use header::{
-    Header, LevelEntry, MeshEntry, StoreDescription, TimeTreeEntry, Totals, VariableDescription, VariableEntry,
+    Header, LevelEntry, MeshEntry, StoreDescription, TimeTreeEntry, Totals, VariableDescription,
+    VariableEntry,
 };
 pub use span_write::{SpanContent, SpanWrite};
 pub use store::Store;

@@ -81,10 +81,15 @@ fn of_options(was: &Value, is: &Value) -> Option<Difference> {
 
 /// Nodes follow from the grid, or from the mesh and its values.
 fn of_trees(was: &Octree, is: &Octree) -> Option<Difference> {
-    let num_nodes = |tree: &Octree| (0..tree.num_levels() as u8).map(|level| tree.nodes(level).len()).sum::<usize>();
+    let num_nodes =
+        |tree: &Octree| (0..tree.num_levels() as u8).map(|level| tree.nodes(level).len()).sum::<usize>();
     differ("number of nodes", &num_nodes(was), &num_nodes(is)).or_else(|| {
         let differs = was != is;
-        differs.then(|| Difference { field: "octree".into(), was: "another".into(), is: "that of the source".into() })
+        differs.then(|| Difference {
+            field: "octree".into(),
+            was: "another".into(),
+            is: "that of the source".into(),
+        })
     })
 }
 

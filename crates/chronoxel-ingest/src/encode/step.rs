@@ -114,7 +114,8 @@ impl Stepper<'_> {
             let make = |rank: u32, brick: [usize; 3], samples: &mut Vec<T>| {
                 let analysis = analyse(samples, true, brick, geometry, &self.plan.layout);
                 let is_leaf = voxels.is_leaf(batch.level, rank as usize);
-                let range = if is_leaf { [analysis.statistics.min, analysis.statistics.max] } else { [f64::NAN; 2] };
+                let range =
+                    if is_leaf { [analysis.statistics.min, analysis.statistics.max] } else { [f64::NAN; 2] };
                 Ok((of_brick(CutBrick { geometry, brick, rank, samples, analysis })?, range))
             };
             let (made, taken) = rayon::join(

@@ -170,9 +170,12 @@ impl<'a> VariableEncoder<'a> {
     ) -> Result<Self, EncodeError> {
         let Before { ranges, spending, first } = before;
         let spending = match coding.how {
-            How::Windows { method: Method::Rate { bits }, .. } => {
-                spending.or(Some(Spending::new(bits, places.source_samples, places.samples, places.num_steps)))
-            }
+            How::Windows { method: Method::Rate { bits }, .. } => spending.or(Some(Spending::new(
+                bits,
+                places.source_samples,
+                places.samples,
+                places.num_steps,
+            ))),
             _ => None,
         };
         let open = match fits_f32 {

@@ -68,12 +68,10 @@ impl Raster {
             let mut to = [0usize; 3];
             for a in 0..3 {
                 let last = self.full as i64 - 1;
-                let index = |place: f64| (place * self.per_root) as i64 - self.first[a];
-                // One more on either side, for the tolerance.
-                let (f, t) = (index(low[a]) - 1, index(high[a]) + 1);
-                if f > last || t < 0 {
-                    to[a] = 0;
-                    from[a] = 1;
+                let (f, t) = ((low[a] - TOLERANCE) * self.per_root, (high[a] + TOLERANCE) * self.per_root);
+                let (f, t) = (f.ceil() as i64 - self.first[a], t.floor() as i64 - self.first[a]);
+                if f > t || f > last || t < 0 {
+                    (from[a], to[a]) = (1, 0);
                 } else {
                     (from[a], to[a]) = (f.max(0) as usize, t.min(last) as usize);
                 }
@@ -106,8 +104,7 @@ impl Raster {
                 };
                 let row = self.full * (y + self.full * z);
                 let core = self.low..self.low + self.edge;
-                let crosses_core =
-                    self.which == Wanted::Apron && core.contains(&y) && core.contains(&z);
+                let crosses_core = self.which == Wanted::Apron && core.contains(&y) && core.contains(&z);
                 for x in first..=last {
                     let of_sample = &mut self.of_sample[row + x];
                     if *of_sample == 0 && !(crosses_core && core.contains(&x)) {
@@ -144,7 +141,7 @@ impl Raster {
         let first_place = self.first[0] as f64;
         let first = (low * self.per_root - first_place - 1e-3).ceil().max(from as f64);
         let last = (high * self.per_root - first_place + 1e-3).floor().min(to as f64);
-        if !(first <= last) {
+        if first > last {
             return None;
         }
         let (mut first, mut last) = (first as usize, last as usize);
@@ -219,7 +216,13 @@ mod tests {
     use super::*;
 
     /// The tetrahedron of every sample, by the sign of four volumes.
-    fn by_force(brick: [u32; 3], depth: u8, layout: &BrickLayout, mesh: &[Tetrahedron], places: &[[f64; 3]]) -> Vec<Option<usize>> {
+    fn by_force(
+        brick: [u32; 3],
+        depth: u8,
+        layout: &BrickLayout,
+        mesh: &[Tetrahedron],
+        places: &[[f64; 3]],
+    ) -> Vec<Option<usize>> {
         let full = layout.full_edge();
         (0..layout.num_full())
             .map(|i| {
@@ -229,8 +232,9 @@ mod tests {
                         / f64::from(1u32 << depth)
                 });
                 mesh.iter().position(|t| {
-                    planes_of(&t.corners(places))
-                        .is_some_and(|planes| planes.iter().all(|plane| dot(plane.n, p) + plane.d >= -TOLERANCE))
+                    planes_of(&t.corners(places)).is_some_and(|planes| {
+                        planes.iter().all(|plane| dot(plane.n, p) + plane.d >= -TOLERANCE)
+                    })
                 })
             })
             .collect()

@@ -47,8 +47,13 @@ fn little_memory_gives_the_same_store() {
     let mut encoded = |memory_bytes: u64| {
         let path = folder.path().join("fin.cxl");
         let voxels = VoxelOptions { field_threshold: 0.01, max_depth: 4 };
-        let options =
-            EncodeOptions { codec: Codec::Raw, memory_bytes, voxels, overwrite: true, ..EncodeOptions::default() };
+        let options = EncodeOptions {
+            codec: Codec::Raw,
+            memory_bytes,
+            voxels,
+            overwrite: true,
+            ..EncodeOptions::default()
+        };
         let report = encode_mesh(mesh.as_mut(), &path, &options, &mut |_| {}).unwrap();
         (files_of(&path), report.voxels.unwrap().num_leaves)
     };

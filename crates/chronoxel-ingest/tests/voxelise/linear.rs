@@ -62,7 +62,9 @@ fn parents_of_a_linear_field_are_linear_away_from_the_boundary() {
     let voxels = voxelised(&mut mesh, 0.0, 4);
     let full = voxels.layout().full_edge();
     let mut count = 0;
-    for (node, samples) in bricks(&voxels, &mut mesh, 0).into_iter().filter(|(n, _)| !voxels.tree().is_leaf(*n)) {
+    for (node, samples) in
+        bricks(&voxels, &mut mesh, 0).into_iter().filter(|(n, _)| !voxels.tree().is_leaf(*n))
+    {
         for i in core_of(&voxels, node) {
             let near = [1, full, full * full].into_iter().flat_map(|d| [i - d, i + d]);
             if near.chain([i]).all(|j| !samples[j].is_nan()) {
@@ -96,7 +98,8 @@ fn what_is_covered_is_the_mesh_within_a_layer_of_voxels() {
                 let near = [1, full, full * full].into_iter().flat_map(|d| [i - d, i + d]);
                 let has_data = !samples[i].is_nan();
                 covered += if has_data { voxel } else { 0.0 };
-                boundary += if near.into_iter().any(|j| samples[j].is_nan() == has_data) { voxel } else { 0.0 };
+                boundary +=
+                    if near.into_iter().any(|j| samples[j].is_nan() == has_data) { voxel } else { 0.0 };
             }
         }
         assert!((covered - volume).abs() < boundary, "{name}: {covered} for {volume}, layer {boundary}");
@@ -109,7 +112,9 @@ fn points_are_sampled_as_bricks_are() {
     let mut mesh = with_field(ring(), SampleType::F32, crate::meshes::wavy);
     let voxels = voxelised(&mut mesh, 0.0, 4);
     let (mut points, mut values) = (Vec::new(), Vec::new());
-    for (node, samples) in bricks(&voxels, &mut mesh, 2).into_iter().filter(|(n, _)| voxels.tree().is_leaf(*n)) {
+    for (node, samples) in
+        bricks(&voxels, &mut mesh, 2).into_iter().filter(|(n, _)| voxels.tree().is_leaf(*n))
+    {
         for i in core_of(&voxels, node).into_iter().step_by(7) {
             points.push(world_of(&voxels, node, i));
             values.push(samples[i]);

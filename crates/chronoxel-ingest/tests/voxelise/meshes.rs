@@ -58,7 +58,11 @@ pub fn steps(num_steps: usize) -> TimeAxis {
 }
 
 /// Adds a variable that is a function of place and step.
-pub fn with_field(mut mesh: MemoryMesh, sample_type: SampleType, f: impl Fn([f64; 3], usize) -> f64) -> MemoryMesh {
+pub fn with_field(
+    mut mesh: MemoryMesh,
+    sample_type: SampleType,
+    f: impl Fn([f64; 3], usize) -> f64,
+) -> MemoryMesh {
     let points = mesh.points().unwrap();
     let of_step = |step: usize| {
         let values = points.iter().map(|&p| f(p, step));

@@ -42,7 +42,10 @@ fn every_codec_gives_a_sound_store_within_its_error() {
         assert_eq!((report.steps_read, report.raw_bytes), (3, 3 * 4 * 25 * 9 * 7));
         let store = sound(&path);
         let entry = store.header().mesh.clone().unwrap();
-        assert_eq!((entry.kind.as_str(), entry.num_cells, entry.num_points), ("curvilinear", 24 * 8 * 6, 1575));
+        assert_eq!(
+            (entry.kind.as_str(), entry.num_cells, entry.num_points),
+            ("curvilinear", 24 * 8 * 6, 1575)
+        );
         let found = measure_mesh(&store, &mut mesh, 1 << 28, 0..3).unwrap();
         assert!(found.problems.is_empty(), "{:?}", found.problems);
         let errors = &found.variables[0];
@@ -107,7 +110,9 @@ fn what_does_not_fit_is_refused() {
     let deep = VoxelOptions { max_depth: 14, ..VoxelOptions::default() };
     assert!(refused(EncodeOptions { voxels: deep, ..options(Codec::Raw) }).contains("--max-depth 14"));
     let wrong = VoxelOptions { field_threshold: 1.5, ..VoxelOptions::default() };
-    assert!(refused(EncodeOptions { voxels: wrong, ..options(Codec::Raw) }).contains("--field-threshold 1.5"));
+    assert!(
+        refused(EncodeOptions { voxels: wrong, ..options(Codec::Raw) }).contains("--field-threshold 1.5")
+    );
 }
 
 /// A mesh of which a step cannot be read.

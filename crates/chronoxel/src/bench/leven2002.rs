@@ -87,7 +87,11 @@ pub fn run(
             });
             if threshold == 0.0 {
                 let stored = stored_bytes(mesh.as_mut(), &options, place, memory_bytes)?;
-                trees.rows.push(Row { label: label.clone(), paper: paper_row(name), here: found.row(stored) });
+                trees.rows.push(Row {
+                    label: label.clone(),
+                    paper: paper_row(name),
+                    here: found.row(stored),
+                });
                 on_part()?;
             }
             on_part()?;
@@ -180,7 +184,11 @@ fn open(name: &str, options: &SourceOptions) -> anyhow::Result<Box<dyn MeshSerie
 /// The name of the first file without its folder.
 fn label_of(name: &str) -> String {
     let first = name.split(',').next().unwrap_or(name);
-    if first.starts_with("sim:") { first.to_owned() } else { first.rsplit('/').next().unwrap_or(first).to_owned() }
+    if first.starts_with("sim:") {
+        first.to_owned()
+    } else {
+        first.rsplit('/').next().unwrap_or(first).to_owned()
+    }
 }
 
 fn paper_row(name: &str) -> Map<String, Value> {

@@ -14,7 +14,10 @@ use super::{
     output,
 };
 use crate::{
-    bench::{BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, leven2002, lum2001},
+    bench::{
+        BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, leven2002,
+        lum2001,
+    },
     progress::{Counted, Progress},
 };
 

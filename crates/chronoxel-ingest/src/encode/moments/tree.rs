@@ -91,8 +91,7 @@ mod tests {
     fn parents_weigh_their_children_by_samples_and_some_may_be_missing() {
         // Nodes 0, 1 and 9 of level 0; parents 0, 1 and 2, the last a leaf of level 1.
         let tree = Octree::from_levels(vec![vec![0, 1, 9], vec![0, 1, 2], vec![0]]).unwrap();
-        let leaves =
-            [known(2.0, 30, 0.0), known(2.0, 10, 0.4), known(6.0, 40, 0.0), known(8.0, 20, 0.0)];
+        let leaves = [known(2.0, 30, 0.0), known(2.0, 10, 0.4), known(6.0, 40, 0.0), known(8.0, 20, 0.0)];
         let nodes = of_all_nodes(&leaves, &Leaves::new(&tree), &tree);
         assert_eq!(nodes.len(), 7);
         assert_eq!((nodes[3].mean, nodes[3].std, nodes[3].temporal_error), (2.0, 0.0, 0.1));
