@@ -13,6 +13,8 @@ mod gpu;
 mod interruption;
 mod long_series;
 mod memory;
+
 mod movies;
 mod pictures;
 mod usage;
+mod voxels;
