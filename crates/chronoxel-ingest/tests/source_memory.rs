@@ -234,3 +234,66 @@ fn memory_changes_no_byte_of_an_array_in_fortran_order() {
     let expected = files_of(&small);
     assert!(expected == files_of(&large) && expected == files_of(&other));
 }
+
+/// Writes a legacy VTK file with the hexahedra of a lattice.
+fn write_hexahedra(path: &Path, edge: usize) {
+    let mut bytes = format!(
+        "# vtk DataFile Version 3.0\nmesh\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS {} float\n",
+        edge.pow(3)
+    )
+    .into_bytes();
+    let points = || (0..edge.pow(3)).map(|p| [p % edge, p / edge % edge, p / (edge * edge)]);
+    bytes.extend(points().flatten().flat_map(|n| (n as f32).to_be_bytes()));
+    let num_cells = (edge - 1).pow(3);
+    bytes.extend(format!("\nCELLS {num_cells} {}\n", 9 * num_cells).into_bytes());
+    for [i, j, k] in points().filter(|p| p.iter().all(|n| n + 1 < edge)) {
+        let at = |i: usize, j: usize, k: usize| i + edge * (j + edge * k);
+        let face = |k| [at(i, j, k), at(i + 1, j, k), at(i + 1, j + 1, k), at(i, j + 1, k)];
+        let numbers = [8].into_iter().chain(face(k)).chain(face(k + 1));
+        bytes.extend(numbers.flat_map(|n| (n as i32).to_be_bytes()));
+    }
+    bytes.extend(format!("\nCELL_TYPES {num_cells}\n").into_bytes());
+    bytes.extend((0..num_cells).flat_map(|_| 12i32.to_be_bytes()));
+    bytes.extend(
+        format!("\nPOINT_DATA {}\nSCALARS s float\nLOOKUP_TABLE default\n", edge.pow(3)).into_bytes(),
+    );
+    bytes.extend(points().flat_map(|p| (p[0] as f32).to_be_bytes()));
+    fs::write(path, bytes).unwrap();
+}
+
+/// A mesh in a file holds what it says while it is opened, walked and read, besides what it hands over.
+#[test]
+fn a_mesh_says_what_it_holds() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mesh.vtk");
+    write_hexahedra(&file, 40);
+    let before = IN_USE.load(Ordering::Relaxed);
+    MOST.store(before, Ordering::Relaxed);
+    let held = || (MOST.load(Ordering::Relaxed) - before) as u64;
+    let mut mesh =
+        sources::open_mesh(&[file.to_string_lossy().into_owned()], &SourceOptions::default()).unwrap();
+    let opened = held();
+    let census = mesh.for_each_tetrahedron(&mut |_| Ok(())).unwrap();
+    assert_eq!(census.num_tetrahedra, 5 * 39 * 39 * 39);
+    let said = mesh.working_bytes();
+    assert!(held() <= said + (600 << 10), "{} bytes held, {said} said", held());
+    assert!(opened >= said / 2, "{opened} bytes held, {said} said");
+    drop(mesh.points().unwrap());
+    drop(mesh.read_values(0, 0).unwrap());
+    let after = (IN_USE.load(Ordering::Relaxed) - before) as u64;
+    assert!(after < 200 << 10, "{after} bytes are held when values are read");
+}
+
+/// A generated mesh of any size holds two layers of points while it is walked.
+#[test]
+fn a_generated_mesh_holds_layers() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let source = ["sim:twist?dims=40x40x400&steps=2".to_owned()];
+    let mut mesh = sources::open_mesh(&source, &SourceOptions::default()).unwrap();
+    let before = IN_USE.load(Ordering::Relaxed);
+    MOST.store(before, Ordering::Relaxed);
+    mesh.for_each_tetrahedron(&mut |_| Ok(())).unwrap();
+    let held = (MOST.load(Ordering::Relaxed) - before) as u64;
+    assert!(held <= mesh.working_bytes() + (64 << 10), "{held} bytes held");
+}

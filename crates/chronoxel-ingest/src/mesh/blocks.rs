@@ -23,8 +23,25 @@ pub(crate) struct Block {
 pub(crate) struct Blocks {
     /// In the order of their points.
     pub blocks: Vec<Block>,
+    /// What is left out of them.
+    pub blanked: Blanked,
+}
+
+/// What is left out of blocks.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Blanked {
     /// Per point of all blocks: whether cells with it are left out. Empty where none is.
-    pub blanked: Vec<bool>,
+    pub points: Vec<bool>,
+    /// Per cell of all blocks: whether it is left out. Empty where none is.
+    pub cells: Vec<bool>,
+}
+
+impl Blanked {
+    /// From flags per point and per cell, of which there may be none.
+    pub fn new(points: Vec<bool>, cells: Vec<bool>) -> Self {
+        let or_empty = |flags: Vec<bool>| if flags.contains(&true) { flags } else { Vec::new() };
+        Self { points: or_empty(points), cells: or_empty(cells) }
+    }
 }
 
 /// The five tetrahedra of a cell whose first corner is even, corners being numbered `x + 2 y + 4 z`; right-handed in a right-handed lattice.
@@ -61,7 +78,7 @@ pub(crate) type ReadLayer<'a> = dyn FnMut(usize, &mut Vec<[f64; 3]>) -> Result<(
 /// Takes the tetrahedra of one block through a sieve, holding two layers of its points at a time.
 pub(crate) fn for_each_of_block(
     block: Block,
-    blanked: &[bool],
+    blanked: &Blanked,
     sieve: &mut Sieve<'_, '_>,
     read_layer: &mut ReadLayer<'_>,
 ) -> Result<(), SourceError> {
@@ -78,8 +95,12 @@ pub(crate) fn for_each_of_block(
         for (j, i) in (0..ny - 1).flat_map(|j| (0..nx - 1).map(move |i| (j, i))) {
             let in_layer = |corner: usize| (i + (corner & 1)) + nx * (j + (corner >> 1 & 1));
             let index = |corner: usize| block.first_point + nx * ny * (k + (corner >> 2)) + in_layer(corner);
+            let cell = sieve.census.cells.hexahedra as usize;
             sieve.census.cells.hexahedra += 1;
-            if !blanked.is_empty() && (0..8).any(|corner| blanked[index(corner)]) {
+            let has_blanked_corner = || (0..8).any(|corner| blanked.points[index(corner)]);
+            if !blanked.points.is_empty() && has_blanked_corner()
+                || blanked.cells.get(cell).copied().unwrap_or(false)
+            {
                 sieve.census.num_blanked += 1;
                 continue;
             }

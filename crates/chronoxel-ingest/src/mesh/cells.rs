@@ -1,5 +1,6 @@
 //! Cells in any order: tetrahedra, hexahedra, wedges and pyramids by the numbers of their corners.
 
+use std::collections::TryReserveError;
 use std::path::Path;
 
 use super::check::{Colours, Excluded};
@@ -57,6 +58,17 @@ pub struct CellList {
 }
 
 impl CellList {
+    /// An empty list with room for cells, so that it does not grow by doubling.
+    ///
+    /// # Errors
+    /// If there is not enough memory.
+    pub fn with_capacity(num_cells: usize, num_corners: usize) -> Result<Self, TryReserveError> {
+        let mut list = Self::default();
+        list.kinds.try_reserve_exact(num_cells)?;
+        list.corners.try_reserve_exact(num_corners)?;
+        Ok(list)
+    }
+
     /// Adds a cell.
     ///
     /// # Panics
@@ -100,7 +112,7 @@ impl CellList {
 
     /// Bytes held.
     fn num_bytes(&self) -> u64 {
-        (self.kinds.len() + 4 * self.corners.len() + 8 * self.numbers.len()) as u64
+        (self.kinds.capacity() + 4 * self.corners.capacity() + 8 * self.numbers.capacity()) as u64
     }
 
     /// The number of a cell in its source.

@@ -31,7 +31,7 @@ pub struct MeshCensus {
     pub num_points: u64,
     /// Cells of the source by kind.
     pub cells: CellCounts,
-    /// Cells left out because a corner is blanked.
+    /// Cells left out because they, or one of their corners, are blanked.
     pub num_blanked: u64,
     /// Cells left out because an earlier one has the same corners.
     pub num_duplicate: u64,

@@ -6,7 +6,7 @@ use chronoxel_core::{Samples, TimeAxis};
 
 use super::sieve::{MAX_POINTS, check_points};
 use super::{
-    Block, Blocks, CellList, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries,
+    Blanked, Block, Blocks, CellList, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries,
     VisitTetrahedron,
 };
 use crate::{SourceError, Variable};
@@ -126,8 +126,10 @@ impl MeshSeries for MemoryMesh {
     fn for_each_tetrahedron(&mut self, visit: &mut VisitTetrahedron<'_>) -> Result<MeshCensus, SourceError> {
         match &self.topology {
             Topology::Lattice(dims) => {
-                let blocks =
-                    Blocks { blocks: vec![Block { dims: *dims, first_point: 0 }], blanked: Vec::new() };
+                let blocks = Blocks {
+                    blocks: vec![Block { dims: *dims, first_point: 0 }],
+                    blanked: Blanked::default(),
+                };
                 blocks.for_each_tetrahedron(Path::new(NAME), &self.points, self.flat_threshold, visit)
             }
             Topology::Cells(cells) => {

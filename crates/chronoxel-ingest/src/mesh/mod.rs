@@ -15,7 +15,7 @@ mod split;
 use chronoxel_core::{Samples, TimeAxis};
 use serde::Serialize;
 
-pub(crate) use self::blocks::{Block, Blocks, for_each_of_block};
+pub(crate) use self::blocks::{Blanked, Block, Blocks, for_each_of_block};
 pub(crate) use self::cells::CheckedCells;
 pub use self::cells::{CellKind, CellList};
 pub use self::census::{CellCounts, MeshCensus};

@@ -6,8 +6,9 @@
 //! | `vortex` | incompressible turbulence that decays in a periodic box | `vorticity_magnitude` |
 //! | `shockbubble` | compressible gas: a shock runs over a light bubble | `density` |
 //! | `twist` | nothing: a twisted curvilinear mesh with fields in closed form | `pulse`, `slope` |
+//! | `fade` | nothing: the first step of a mesh in files, fading linearly to zero | those of the files |
 //!
-//! All know `dims` (`128` or `160x64x64`) and `steps`. A run covers the same stretch of physical time whatever
+//! All but `fade`, which takes `mesh` (files between commas), know `dims` (`128` or `160x64x64`) and `steps`. A run covers the same stretch of physical time whatever
 //! `steps` is, so more steps show it more finely. A step is computed when it is opened: the state advances from
 //! the last opened step, and going back starts over.
 //!
@@ -15,6 +16,7 @@
 //! slices and pencils, sums are taken in a fixed order, and transcendental functions come from `libm`.
 
 pub mod euler;
+mod fade;
 mod fourier;
 pub mod navier_stokes;
 mod plume;
@@ -30,7 +32,7 @@ use crate::mesh::Opened;
 use crate::{SourceError, StepReader, TimeSeries, Variable};
 use spec::{Spec, invalid};
 
-const NAMES: &str = "plume, vortex, shockbubble, twist";
+const NAMES: &str = "plume, vortex, shockbubble, twist, fade";
 
 /// Opens a built-in simulation on a uniform grid as a source; nothing is computed yet.
 ///
@@ -53,6 +55,7 @@ pub fn open_any(spec: &str) -> Result<Opened, SourceError> {
         "plume" => plume::open(&spec)?,
         "vortex" => vortex::open(&spec)?,
         "shockbubble" => shockbubble::open(&spec)?,
+        "fade" => return Ok(Opened::Mesh(fade::open(&spec)?)),
         "twist" => return Ok(Opened::Mesh(twist::open(&spec)?)),
         _ => {
             return Err(invalid(

@@ -78,6 +78,12 @@ impl Spec {
         text.parse().map_err(|_| invalid("option seed", text, "give a whole number from 0 to 2^64 - 1"))
     }
 
+    /// The option of a key as it was written, which must be there.
+    pub fn needed(&self, key: &'static str, remedy: &str) -> Result<&str, SourceError> {
+        let value = self.value(key).filter(|value| !value.is_empty());
+        value.ok_or_else(|| invalid("simulation option", key, remedy))
+    }
+
     /// A real option between two limits, both included.
     pub fn number(&self, key: &'static str, default: f64, limits: [f64; 2]) -> Result<f64, SourceError> {
         let Some(text) = self.value(key) else { return Ok(default) };

@@ -10,7 +10,7 @@ use chronoxel_core::{SampleType, Samples, TimeAxis};
 
 use super::spec::Spec;
 use crate::mesh::{
-    Block, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries, Sieve, VisitTetrahedron,
+    Blanked, Block, DEFAULT_FLAT_THRESHOLD, GridType, MeshCensus, MeshSeries, Sieve, VisitTetrahedron,
     for_each_of_block,
 };
 use crate::{SourceError, Variable};
@@ -109,7 +109,7 @@ impl MeshSeries for Twist {
     fn for_each_tetrahedron(&mut self, visit: &mut VisitTetrahedron<'_>) -> Result<MeshCensus, SourceError> {
         let mut sieve = Sieve::new(self.num_points(), DEFAULT_FLAT_THRESHOLD, visit);
         let block = Block { dims: self.dims, first_point: 0 };
-        for_each_of_block(block, &[], &mut sieve, &mut |k, out| {
+        for_each_of_block(block, &Blanked::default(), &mut sieve, &mut |k, out| {
             push_layer(self.dims, k, out);
             Ok(())
         })?;

@@ -1,14 +1,17 @@
 //! One mesh series from one or many files: the same geometry and variables in all, times in increasing order.
 
+use std::path::Path;
+
 use chronoxel_core::{Samples, TimeAxis};
 use xxhash_rust::xxh3::Xxh3;
 
 use super::SourceOptions;
 use super::file_series::{check_same_variables, named_variables, select_variables, time_axis};
 use super::volume_file::{FileHeader, checked_steps, dims_text};
+use super::vtk_arrays::Array;
 use crate::mesh::{
-    Blocks, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MAX_POINTS, MeshCensus, MeshSeries,
-    VisitTetrahedron, check_points,
+    Blanked, Block, Blocks, CheckedCells, DEFAULT_FLAT_THRESHOLD, GridType, MAX_POINTS, MeshCensus,
+    MeshSeries, VisitTetrahedron, check_points,
 };
 use crate::{SourceError, Variable};
 
@@ -79,7 +82,8 @@ impl Geometry {
                 for block in &blocks.blocks {
                     block.dims.iter().for_each(|n| hash.update(&n.to_le_bytes()));
                 }
-                blocks.blanked.iter().for_each(|b| hash.update(&[u8::from(*b)]));
+                let blanked = blocks.blanked.points.iter().chain(&blocks.blanked.cells);
+                blanked.for_each(|is_blanked| hash.update(&[u8::from(*is_blanked)]));
             }
             Topology::Cells(cells) => {
                 for (kind, corners) in cells.list().iter() {
@@ -102,13 +106,15 @@ impl Geometry {
         }
     }
 
-    /// Bytes held.
+    /// The most bytes held while it is read and afterwards.
     fn most_bytes(&self) -> u64 {
         let topology = match &self.topology {
-            Topology::Blocks(blocks) => blocks.blanked.len() as u64,
+            Topology::Blocks(blocks) => (blocks.blanked.points.len() + blocks.blanked.cells.len()) as u64,
             Topology::Cells(cells) => cells.most_bytes(self.points.len()),
         };
-        (size_of::<[f64; 3]>() * self.points.len()) as u64 + topology
+        // While points are read, their numbers lie beside them as the file has them.
+        let point_bytes = (size_of::<[f64; 3]>() * self.points.len()) as u64;
+        point_bytes + topology.max(point_bytes)
     }
 }
 
@@ -250,11 +256,7 @@ fn check_same_shape(
 }
 
 /// A number of points from a file, where they can be numbered with 32 bits.
-pub(crate) fn checked_points(
-    path: &std::path::Path,
-    field: &str,
-    num_points: u64,
-) -> Result<usize, SourceError> {
+pub(crate) fn checked_points(path: &Path, field: &str, num_points: u64) -> Result<usize, SourceError> {
     match num_points {
         0 => Err(SourceError::corrupt(path, field, 0, "a mesh needs points")),
         n if n > MAX_POINTS => {
@@ -263,6 +265,29 @@ pub(crate) fn checked_points(
         n => Ok(n as usize),
     }
 }
+
+/// One structured block; what its flags of points and cells hide is left out.
+pub(crate) fn lattice(
+    path: &Path,
+    dims: [usize; 3],
+    [points, cells]: [Option<&Array>; 2],
+) -> Result<Topology, SourceError> {
+    let hidden = |flags: Option<&Array>, bit: u32| match flags {
+        Some(flags) => {
+            let read = flags.read_all(path)?;
+            Ok((0..read.len()).map(|index| read.get(index) as u32 & bit != 0).collect())
+        }
+        None => Ok(Vec::new()),
+    };
+    let blanked = Blanked::new(hidden(points, HIDDEN_POINT)?, hidden(cells, HIDDEN_CELL)?);
+    Ok(Topology::Blocks(Blocks { blocks: vec![Block { dims, first_point: 0 }], blanked }))
+}
+
+/// The flag of points without data in VTK's array of ghosts.
+const HIDDEN_POINT: u32 = 2;
+
+/// The flag of cells without data there.
+const HIDDEN_CELL: u32 = 32;
 
 /// Triples of numbers as points.
 pub(crate) fn points_of(numbers: &Samples) -> Vec<[f64; 3]> {

@@ -19,7 +19,7 @@ use super::mesh_files::{MeshFile, MeshShape, Topology};
 use super::plot3d_layout::{Content, Layout, NUM_CONDITIONS};
 use super::samples::{SampleFormat, SliceReader};
 use super::volume_file::{FileHeader, FileTimes, dims_text, open_at};
-use crate::mesh::{Block, Blocks, GridType};
+use crate::mesh::{Blanked, Block, Blocks, GridType};
 use crate::{SourceError, StepReader, Variable};
 
 /// Extensions that stand for PLOT3D alone.
@@ -247,9 +247,7 @@ impl MeshFile for SolutionFile {
                 blanked.extend((0..flags.len()).map(|index| flags.get(index) == 0.0));
             }
         }
-        if !blanked.contains(&true) {
-            blanked = Vec::new();
-        }
+        let blanked = Blanked::new(blanked, Vec::new());
         Ok(Topology::Blocks(Blocks { blocks, blanked }))
     }
 

@@ -122,6 +122,9 @@ pub(crate) fn numbers<T: FromStr, const N: usize>(
         .ok_or_else(|| SourceError::corrupt(path, attribute, text, format!("it must have {N} numbers")))
 }
 
+/// The array of flags that says which points and cells are hidden; it is no data.
+pub(crate) const GHOSTS: &str = "vtkGhostType";
+
 /// Where the values of one component of an array are.
 #[derive(Debug, Clone)]
 pub(crate) struct Array {
@@ -193,6 +196,9 @@ impl ArrayReader<'_> {
         for (point_data, _) in self.document.children(piece_index, "PointData") {
             for (_, element) in self.document.children(point_data, "DataArray") {
                 let name = element.get("Name").unwrap_or_default();
+                if name == GHOSTS {
+                    continue;
+                }
                 let Some(sample_type) = sample_type_of(element.get("type").unwrap_or_default()) else {
                     passed_over = Some(element);
                     continue;
@@ -264,6 +270,18 @@ impl ArrayReader<'_> {
         let big_endian = self.encoding.big_endian && !matches!(place, Place::Ascii(_));
         let format = SampleFormat::scalar(sample_type, big_endian);
         Ok(Array { place, encoding: self.encoding, format, num_values, field })
+    }
+
+    /// The flags of the points (`PointData`) or cells (`CellData`) of a piece, where there are some.
+    pub fn ghosts(&self, piece_index: usize, data: &str, count: u64) -> Result<Option<Array>, SourceError> {
+        let data = self.document.children(piece_index, data).next();
+        let has_ghosts = |(index, _): &(usize, &Element)| {
+            self.document.children(*index, "DataArray").any(|(_, e)| e.get("Name") == Some(GHOSTS))
+        };
+        match data.filter(has_ghosts) {
+            Some((index, _)) if count > 0 => self.named_array(index, GHOSTS, count).map(Some),
+            _ => Ok(None),
+        }
     }
 
     /// The one array with a name inside another element, of a number of values in all.

@@ -67,6 +67,16 @@ pub(crate) enum Runs {
     Ends(Vec<u64>),
 }
 
+impl Runs {
+    /// Corners of all cells, where that is known.
+    pub fn num_corners(&self) -> u64 {
+        match self {
+            Self::Counted => 0,
+            Self::Ends(ends) => ends.last().copied().unwrap_or(0),
+        }
+    }
+}
+
 /// Reads cells: the type and the corners of each.
 pub(crate) fn read_cells<R: Read + Send>(
     path: &Path,
@@ -75,7 +85,8 @@ pub(crate) fn read_cells<R: Read + Send>(
     runs: &Runs,
     mut corners: Numbers<R>,
 ) -> Result<CellList, SourceError> {
-    let mut cells = CellList::default();
+    let mut cells = CellList::with_capacity(num_cells as usize, corners.num_left() as usize)
+        .map_err(|_| too_many(path, num_cells))?;
     let mut run = Vec::new();
     let mut last_end = 0;
     for cell in 0..num_cells {
@@ -109,6 +120,26 @@ pub(crate) fn read_cells<R: Read + Send>(
         return Err(SourceError::corrupt(path, "corners left over", corners.num_left(), problem));
     }
     Ok(cells)
+}
+
+/// Reads the ends of the corners of cells.
+pub(crate) fn read_ends<R: Read + Send>(
+    path: &Path,
+    num_cells: u64,
+    offsets: &mut Numbers<R>,
+) -> Result<Runs, SourceError> {
+    let mut ends = Vec::new();
+    ends.try_reserve_exact(num_cells as usize).map_err(|_| too_many(path, num_cells))?;
+    for _ in 0..num_cells {
+        ends.push(offsets.next_whole()?);
+    }
+    Ok(Runs::Ends(ends))
+}
+
+/// The error where memory does not suffice.
+fn too_many(path: &Path, num_cells: u64) -> SourceError {
+    let remedy = "there is not enough memory for so many cells; use a smaller mesh";
+    SourceError::unsupported(path, "number of cells", num_cells, remedy)
 }
 
 /// Adds a cell by VTK's number of its type.

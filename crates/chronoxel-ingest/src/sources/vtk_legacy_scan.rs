@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use chronoxel_core::SampleType;
 
 use super::volume_file::{checked_product, open_regular};
-use super::vtk_arrays::Array;
+use super::vtk_arrays::{Array, GHOSTS};
 use super::vtk_data::Place;
 use crate::{SourceError, Variable};
 
@@ -58,6 +58,8 @@ pub(crate) struct Legacy {
     /// Per variable: where it is.
     pub arrays: Vec<Array>,
     pub has_cell_data: bool,
+    /// Flags of points and of cells.
+    pub ghosts: [Option<Array>; 2],
     /// The number in a field array `TIME` or `TimeValue`.
     pub time: Option<Array>,
     /// The number in a field array `CYCLE` or `TimeStep`.
@@ -184,6 +186,7 @@ impl Scanner {
             variables: Vec::new(),
             arrays: Vec::new(),
             has_cell_data: false,
+            ghosts: [const { None }; 2],
             time: None,
             cycle: None,
         })
@@ -444,7 +447,12 @@ impl Scanner {
             return Err(self.corrupt(format!("components of {name:?}"), num_components, &problem));
         }
         let array = self.values(&format!("array {name:?}"), sample_type, [num_tuples, num_components])?;
-        if !matches!(self.section, Section::Points(_)) {
+        let is_of_points = matches!(self.section, Section::Points(_));
+        if name == GHOSTS && num_components == 1 {
+            legacy.ghosts[usize::from(!is_of_points)] = Some(array);
+            return Ok(());
+        }
+        if !is_of_points {
             legacy.has_cell_data = true;
             return Ok(());
         }

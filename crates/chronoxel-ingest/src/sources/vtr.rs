@@ -8,10 +8,10 @@ use std::path::Path;
 
 use chronoxel_core::Samples;
 
-use super::mesh_files::{MeshFile, MeshShape, Topology};
+use super::mesh_files::{MeshFile, MeshShape, Topology, lattice};
 use super::volume_file::FileHeader;
 use super::vtk_arrays::{Array, ArrayReader, data_set, dims_of, encoding, extent, only_piece};
-use super::vts::{lattice, lattice_shape};
+use super::vts::{ghosts, lattice_shape};
 use super::xml::Document;
 use crate::SourceError;
 use crate::mesh::GridType;
@@ -24,6 +24,8 @@ struct VtrFile {
     header: FileHeader<MeshShape>,
     axes: [Array; 3],
     dims: [usize; 3],
+    /// Flags of points and of cells.
+    ghosts: [Option<Array>; 2],
     /// Per variable: where it is.
     arrays: Vec<Array>,
 }
@@ -40,10 +42,11 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn MeshFile>, SourceError> {
     let reader = ArrayReader { document: &document, encoding };
     let (variables, arrays) = reader.point_data(piece_index, grid.num_points as u64)?;
     let axes = axes(&reader, piece_index, dims)?;
+    let ghosts = ghosts(&reader, piece_index, &grid)?;
     let times = reader.times(whole.0)?;
     let header =
         FileHeader { path: path.to_owned(), grid, variables, num_steps: 1, times, time_units: String::new() };
-    Ok(Box::new(VtrFile { header, axes, dims, arrays }))
+    Ok(Box::new(VtrFile { header, axes, dims, ghosts, arrays }))
 }
 
 /// The three arrays of coordinates.
@@ -125,7 +128,8 @@ impl MeshFile for VtrFile {
     }
 
     fn topology(&self) -> Result<Topology, SourceError> {
-        Ok(lattice(self.dims))
+        let [points, cells] = &self.ghosts;
+        lattice(&self.header.path, self.dims, [points.as_ref(), cells.as_ref()])
     }
 
     fn read_values(&self, variable: usize) -> Result<Samples, SourceError> {

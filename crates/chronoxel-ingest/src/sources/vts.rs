@@ -1,24 +1,26 @@
 //! VTK StructuredGrid files (`.vts`): a curvilinear lattice of points with the point data of one time step.
 //!
 //! Specification: <https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>. Arrays, components and times are read
-//! as those of `.vti` files are.
+//! as those of `.vti` files are. Points and cells that `vtkGhostType` hides are blanked.
 
 use std::path::Path;
 
 use chronoxel_core::Samples;
 
-use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points, points_of};
+use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points, lattice, points_of};
 use super::volume_file::{FileHeader, checked_product};
 use super::vtk_arrays::{Array, ArrayReader, data_set, dims_of, encoding, extent, only_piece};
 use super::xml::Document;
 use crate::SourceError;
-use crate::mesh::{Block, Blocks, GridType};
+use crate::mesh::GridType;
 
 /// A `.vts` file whose arrays can be as long as its extent needs.
 struct VtsFile {
     header: FileHeader<MeshShape>,
     points: Array,
     dims: [usize; 3],
+    /// Flags of points and of cells.
+    ghosts: [Option<Array>; 2],
     /// Per variable: where it is.
     arrays: Vec<Array>,
 }
@@ -35,10 +37,11 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn MeshFile>, SourceError> {
     let reader = ArrayReader { document: &document, encoding };
     let points = point_array(&reader, piece_index, grid.num_points)?;
     let (variables, arrays) = reader.point_data(piece_index, grid.num_points as u64)?;
+    let ghosts = ghosts(&reader, piece_index, &grid)?;
     let times = reader.times(whole.0)?;
     let header =
         FileHeader { path: path.to_owned(), grid, variables, num_steps: 1, times, time_units: String::new() };
-    Ok(Box::new(VtsFile { header, points, dims, arrays }))
+    Ok(Box::new(VtsFile { header, points, dims, ghosts, arrays }))
 }
 
 /// The shape of one structured block.
@@ -53,9 +56,14 @@ pub(crate) fn lattice_shape(
     Ok(MeshShape { grid_type, dims: Some(dims), num_points, num_cells })
 }
 
-/// One block, nothing of it blanked.
-pub(crate) fn lattice(dims: [usize; 3]) -> Topology {
-    Topology::Blocks(Blocks { blocks: vec![Block { dims, first_point: 0 }], blanked: Vec::new() })
+/// The flags of points and of cells of a piece, where there are some.
+pub(crate) fn ghosts(
+    reader: &ArrayReader<'_>,
+    piece_index: usize,
+    grid: &MeshShape,
+) -> Result<[Option<Array>; 2], SourceError> {
+    let points = reader.ghosts(piece_index, "PointData", grid.num_points as u64)?;
+    Ok([points, reader.ghosts(piece_index, "CellData", grid.num_cells)?])
 }
 
 /// The array of positions of a piece.
@@ -89,7 +97,8 @@ impl MeshFile for VtsFile {
     }
 
     fn topology(&self) -> Result<Topology, SourceError> {
-        Ok(lattice(self.dims))
+        let [points, cells] = &self.ghosts;
+        lattice(&self.header.path, self.dims, [points.as_ref(), cells.as_ref()])
     }
 
     fn read_values(&self, variable: usize) -> Result<Samples, SourceError> {

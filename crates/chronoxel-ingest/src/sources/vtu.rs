@@ -10,7 +10,7 @@ use chronoxel_core::Samples;
 use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points, points_of};
 use super::volume_file::FileHeader;
 use super::vtk_arrays::{Array, ArrayReader, data_set, encoding, numbers, only_piece};
-use super::vtk_cells::{Numbers, Runs, read_cells};
+use super::vtk_cells::{Numbers, read_cells, read_ends};
 use super::vts::point_array;
 use super::xml::{Document, Element};
 use crate::SourceError;
@@ -74,13 +74,10 @@ impl MeshFile for VtuFile {
         let numbers = |array: &Array| Ok(Numbers::new(array.open(path, 1)?, array.num_values()));
         let types = reader.named_array(self.cells_index, "types", num_cells)?;
         let mut offsets = numbers(&reader.named_array(self.cells_index, "offsets", num_cells)?)?;
-        let mut ends = Vec::new();
-        for _ in 0..num_cells {
-            ends.push(offsets.next_whole()?);
-        }
-        let num_corners = ends.last().copied().unwrap_or(0);
-        let corners = reader.named_array(self.cells_index, "connectivity", num_corners)?;
-        let cells = read_cells(path, num_cells, numbers(&types)?, &Runs::Ends(ends), numbers(&corners)?)?;
+        let runs = read_ends(path, num_cells, &mut offsets)?;
+        let corners = reader.named_array(self.cells_index, "connectivity", runs.num_corners())?;
+        let cells = read_cells(path, num_cells, numbers(&types)?, &runs, numbers(&corners)?)?;
+        drop(runs);
         Ok(Topology::Cells(CheckedCells::new(path, cells, self.header.grid.num_points)?))
     }
 

@@ -71,6 +71,14 @@ fn check_rectilinear(mesh: &mut dyn MeshSeries) {
 }
 
 fn check_unstructured(mesh: &mut dyn MeshSeries) {
+    let points = check_unstructured_geometry(mesh);
+    assert_eq!(mesh.variables().len(), 1);
+    let expected: Vec<f64> = points.iter().map(|[x, y, z]| x + 2.0 * y + 4.0 * z).collect();
+    assert_eq!(mesh.read_values(0, 0).unwrap().to_f64(), expected);
+}
+
+/// Holds cells and tetrahedra against what `mixed` in `make_meshes.py` makes; gives the points.
+fn check_unstructured_geometry(mesh: &mut dyn MeshSeries) -> Vec<[f64; 3]> {
     assert_eq!((mesh.grid_type(), mesh.dims()), (GridType::Unstructured, None));
     let walked = Walked::of(mesh);
     let cells = walked.census.cells;
@@ -81,9 +89,7 @@ fn check_unstructured(mesh: &mut dyn MeshSeries) {
     // Two cubes, a pyramid, a wedge, a tetrahedron.
     assert!(close(walked.volume(), 2.0 + 1.0 / 3.0 + 1.0 / 2.0 + 1.0 / 6.0));
     walked.surface();
-    assert_eq!(mesh.variables().len(), 1);
-    let expected: Vec<f64> = walked.points.iter().map(|[x, y, z]| x + 2.0 * y + 4.0 * z).collect();
-    assert_eq!(mesh.read_values(0, 0).unwrap().to_f64(), expected);
+    walked.points
 }
 
 #[test]
@@ -144,6 +150,18 @@ fn a_rectilinear_grid_that_is_uniform_says_so() {
 }
 
 #[test]
+fn hidden_points_and_cells_are_left_out() {
+    for name in ["mesh/hidden.vts", "mesh/hidden.vtk"] {
+        let mut mesh = mesh(name);
+        let walked = Walked::of(mesh.as_mut());
+        assert_eq!((walked.census.cells.hexahedra, walked.census.num_blanked), (12, 2), "{name}");
+        assert_eq!(walked.census.num_tetrahedra, 5 * 10);
+        // The flags themselves are no variable.
+        check_values(mesh.as_mut(), 1);
+    }
+}
+
+#[test]
 fn files_are_a_series_with_their_times() {
     let mut mesh = mesh("mesh_series/step[0-9].vts");
     assert_eq!(mesh.times().times, [0.5, 0.75, 2.0]);
@@ -170,4 +188,20 @@ fn variables_can_be_chosen_and_values_be_none() {
     for (value, [_, j, _]) in mesh.read_values(0, 0).unwrap().to_f64().iter().zip(indices()) {
         assert!(if j == 2.0 { value.is_nan() } else { *value == j });
     }
+}
+
+#[test]
+fn a_mesh_that_fades() {
+    let file = path("mesh/ascii.vtu");
+    let open = |spec: String| open_mesh(&[spec], &SourceOptions::default());
+    let mut fading = open(format!("sim:fade?mesh={}&steps=5", file.display())).unwrap();
+    check_unstructured_geometry(fading.as_mut());
+    assert_eq!(fading.times().num_steps(), 5);
+    let first = mesh("mesh/ascii.vtu").read_values(0, 0).unwrap().to_f64();
+    for (step, left) in [1.0, 0.75, 0.5, 0.25, 0.0].into_iter().enumerate() {
+        let expected: Vec<f64> = first.iter().map(|value| value * left).collect();
+        assert_eq!(fading.read_values(0, step).unwrap().to_f64(), expected);
+    }
+    let refused = open("sim:fade?steps=5".to_owned()).err().unwrap().to_string();
+    assert!(refused.contains("name the files of a mesh"), "{refused}");
 }

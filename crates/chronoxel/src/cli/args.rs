@@ -33,7 +33,8 @@ pub struct Common {
 /// Where samples come from, and what their files do not say themselves.
 #[derive(Debug, Clone, Args)]
 pub struct SourceArgs {
-    /// Files, a quoted glob, a .pvd, a Zarr group or array, or a simulation such as 'sim:plume?dims=64'
+    /// Files, a quoted glob, a .pvd, a Zarr group or array, a PLOT3D grid and its solutions, or a simulation such as
+    /// 'sim:plume?dims=64'
     #[arg(required = true, value_name = "SOURCE", value_parser = NonEmptyStringValueParser::new())]
     pub source: Vec<String>,
     #[command(flatten)]
@@ -49,10 +50,10 @@ pub struct SourceHints {
     /// Samples along x, y and z of a raw file, as 512x512x256
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_dims)]
     pub dims: Option<[usize; 3]>,
-    /// Type of the samples of a raw file: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64
+    /// Type of the samples of a raw file, or of PLOT3D where several fit: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64
     #[arg(long, value_name = "TYPE", value_parser = parse_sample_type)]
     pub dtype: Option<chronoxel_core::SampleType>,
-    /// The samples of a raw file have their highest byte first
+    /// The samples of a raw file have their highest byte first; so does PLOT3D, where either fits
     #[arg(long)]
     pub big_endian: bool,
     /// Bytes to skip at the start of a raw file

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use chronoxel_core::{TimeAxis, UniformGrid, time_tree::num_time_levels};
-use chronoxel_ingest::TimeSeries;
+use chronoxel_core::{Samples, TimeAxis, UniformGrid, time_tree::num_time_levels};
+use chronoxel_ingest::{MeshCensus, MeshSeries, Opened, TimeSeries, Variable};
 use chronoxel_store::{Header, Store};
 
 use super::{
@@ -148,82 +148,157 @@ fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
 }
 
 fn source_report(common: &Common, args: &InfoArgs) -> anyhow::Result<InfoReport> {
-    let mut series = args.source.open(common)?;
-    let grid = *series.grid();
-    let TimeAxis { times, units } = series.times().clone();
-    let step_bytes: u64 = series.variables().iter().map(|v| v.sample_type.num_bytes() as u64).sum::<u64>()
-        * grid.num_samples() as u64;
-    let raw_bytes = step_bytes * times.len() as u64;
-    let wanted =
-        args.ranges.unwrap_or(if raw_bytes <= READ_UNASKED_BYTES { Ranges::All } else { Ranges::First });
-    let num_read = match wanted {
-        Ranges::All => times.len(),
-        Ranges::First => 1,
-        Ranges::None => 0,
-    };
-    let mut variables = Map::new();
-    for (index, variable) in series.variables().to_vec().into_iter().enumerate() {
-        let found = ranges_of(series.as_mut(), index, variable.fill_value, num_read)?;
-        let entry = json!({
-            "min": found.range.map(|r| r[0]),
-            "max": found.range.map(|r| r[1]),
-            "mean": found.mean,
-            "missing_samples": found.num_missing,
-            "units": variable.units,
-            "sample_type": variable.sample_type,
-            "fill_value": variable.fill_value,
-            "codec": Value::Null,
-        });
-        variables.insert(variable.name, entry);
+    match args.source.hints.open_any(common, &args.source.source)? {
+        Opened::Volume(series) => volume_report(series, args.ranges),
+        Opened::Mesh(mesh) => mesh_report(mesh, args.ranges),
     }
-    let fields = json!({ "range_steps": num_read });
-    Ok(InfoReport {
-        kind: "source",
-        grid: grid_json(&grid),
-        num_steps: times.len(),
-        times,
-        time_units: units,
-        variables,
-        raw_bytes,
-        store: fields.as_object().cloned().unwrap_or_default(),
+}
+
+fn volume_report(mut series: Box<dyn TimeSeries>, ranges: Option<Ranges>) -> anyhow::Result<InfoReport> {
+    let grid = *series.grid();
+    let (variables, times) = (series.variables().to_vec(), series.times().clone());
+    let [nx, ny, nz] = grid.dims;
+    let slab = (SLAB_SAMPLES / (nx * ny)).clamp(1, nz);
+    let of_variables = Sampled { times, num_samples: grid.num_samples() as u64, variables, ranges };
+    of_variables.report(grid_json(&grid), Map::new(), |variable, step, found| {
+        let mut reader = series.open_step(variable, step)?;
+        for first in (0..nz).step_by(slab) {
+            found(&reader.read_slices(slab.min(nz - first))?);
+        }
+        Ok(())
     })
+}
+
+fn mesh_report(mut mesh: Box<dyn MeshSeries>, ranges: Option<Ranges>) -> anyhow::Result<InfoReport> {
+    let census = mesh.for_each_tetrahedron(&mut |_| Ok(()))?;
+    let grid = mesh_json(mesh.as_mut(), &census)?;
+    let (variables, times) = (mesh.variables().to_vec(), mesh.times().clone());
+    let fields = Map::from_iter([("notes".to_owned(), json!(mesh.notes()))]);
+    let of_variables = Sampled { times, num_samples: mesh.num_points() as u64, variables, ranges };
+    of_variables.report(grid, fields, |variable, step, found| {
+        found(&mesh.read_values(variable, step)?);
+        Ok(())
+    })
+}
+
+/// The grid of a mesh: what a uniform one has, as far as it applies, and what is counted in it.
+fn mesh_json(mesh: &mut dyn MeshSeries, census: &MeshCensus) -> anyhow::Result<Value> {
+    let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for point in mesh.points()? {
+        for axis in 0..3 {
+            bounds[0][axis] = bounds[0][axis].min(point[axis]);
+            bounds[1][axis] = bounds[1][axis].max(point[axis]);
+        }
+    }
+    Ok(json!({
+        "type": mesh.grid_type(),
+        "dims": mesh.dims(),
+        "spacing": Value::Null,
+        "origin": Value::Null,
+        "num_cells": census.cells.total(),
+        "num_points": census.num_points,
+        "bounds": bounds,
+        "cells": census.cells,
+        "tetrahedra": {
+            "kept": census.num_tetrahedra,
+            "flat": census.num_flat,
+            "inverted": census.num_inverted,
+            "volume": census.volume,
+        },
+        "cells_left_out": {
+            "blanked": census.num_blanked,
+            "duplicate": census.num_duplicate,
+            "non_manifold": census.num_non_manifold,
+            "without_volume": census.cells.without_volume,
+        },
+    }))
+}
+
+/// A source as far as its samples go.
+struct Sampled {
+    times: TimeAxis,
+    /// Of one step.
+    num_samples: u64,
+    variables: Vec<Variable>,
+    ranges: Option<Ranges>,
+}
+
+impl Sampled {
+    /// The report, ranges being taken from the samples that `read` hands over for a variable and a step.
+    fn report(
+        self,
+        grid: Value,
+        mut fields: Map<String, Value>,
+        mut read: impl FnMut(usize, usize, &mut dyn FnMut(&Samples)) -> anyhow::Result<()>,
+    ) -> anyhow::Result<InfoReport> {
+        let TimeAxis { times, units } = self.times;
+        let point_bytes: u64 = self.variables.iter().map(|v| v.sample_type.num_bytes() as u64).sum();
+        let raw_bytes = point_bytes * self.num_samples * times.len() as u64;
+        let unasked = if raw_bytes <= READ_UNASKED_BYTES { Ranges::All } else { Ranges::First };
+        let num_read = match self.ranges.unwrap_or(unasked) {
+            Ranges::All => times.len(),
+            Ranges::First => 1,
+            Ranges::None => 0,
+        };
+        let mut variables = Map::new();
+        for (index, variable) in self.variables.into_iter().enumerate() {
+            let mut found = Found::default();
+            for step in 0..num_read {
+                read(index, step, &mut |samples| found.add(samples, variable.fill_value))?;
+            }
+            let entry = json!({
+                "min": found.range.map(|r| r[0]),
+                "max": found.range.map(|r| r[1]),
+                "mean": found.mean(),
+                "missing_samples": found.num_missing,
+                "units": variable.units,
+                "sample_type": variable.sample_type,
+                "fill_value": variable.fill_value,
+                "codec": Value::Null,
+            });
+            variables.insert(variable.name, entry);
+        }
+        fields.insert("range_steps".to_owned(), json!(num_read));
+        Ok(InfoReport {
+            kind: "source",
+            grid,
+            num_steps: times.len(),
+            times,
+            time_units: units,
+            variables,
+            raw_bytes,
+            store: fields,
+        })
+    }
 }
 
 /// What a pass over some steps of a variable found.
 #[derive(Default)]
 struct Found {
     range: Option<[f64; 2]>,
-    mean: Option<f64>,
+    sum: f64,
+    count: u64,
     num_missing: u64,
 }
 
-fn ranges_of(
-    series: &mut dyn TimeSeries,
-    variable: usize,
-    fill_value: Option<f64>,
-    num_steps: usize,
-) -> anyhow::Result<Found> {
-    let [nx, ny, nz] = series.grid().dims;
-    let slab = (SLAB_SAMPLES / (nx * ny)).clamp(1, nz);
-    let (mut found, mut sum, mut count) = (Found::default(), 0.0, 0u64);
-    for step in 0..num_steps {
-        let mut reader = series.open_step(variable, step)?;
-        for first in (0..nz).step_by(slab) {
-            let samples = reader.read_slices(slab.min(nz - first))?;
-            for value in (0..samples.len()).map(|i| samples.get(i)) {
-                if !value.is_finite() || Some(value) == fill_value {
-                    found.num_missing += 1;
-                    continue;
-                }
-                let [low, high] = found.range.unwrap_or([value; 2]);
-                found.range = Some([low.min(value), high.max(value)]);
-                sum += value;
-                count += 1;
+impl Found {
+    /// Takes some samples in.
+    fn add(&mut self, samples: &Samples, fill_value: Option<f64>) {
+        for value in (0..samples.len()).map(|i| samples.get(i)) {
+            if !value.is_finite() || Some(value) == fill_value {
+                self.num_missing += 1;
+                continue;
             }
+            let [low, high] = self.range.unwrap_or([value; 2]);
+            self.range = Some([low.min(value), high.max(value)]);
+            self.sum += value;
+            self.count += 1;
         }
     }
-    found.mean = (count > 0).then(|| sum / count as f64);
-    Ok(found)
+
+    fn mean(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum / self.count as f64)
+    }
 }
 
 /// Whether all steps are equally long, to a thousandth of the mean one.
@@ -236,6 +311,41 @@ fn is_even(times: &[f64]) -> bool {
 /// Samples that are read at once.
 const SLAB_SAMPLES: usize = 1 << 22;
 
+/// What a mesh consists of, and what was left out; counts of nothing are not shown.
+fn mesh_lines(report: &InfoReport) -> Vec<String> {
+    let corner = |side: usize| {
+        let values = report.grid["bounds"][side].as_array().into_iter().flatten();
+        values.filter_map(Value::as_f64).map(output::number).collect::<Vec<_>>().join(", ")
+    };
+    let counts = |part: &str, names: &[&str]| {
+        let counted = names.iter().filter_map(|name| Some((name, report.grid[part][name].as_u64()?)));
+        let shown = counted.filter(|(_, count)| *count > 0);
+        shown
+            .map(|(name, count)| format!("{count} {}", name.replace('_', " ")))
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
+    let kinds = ["tetrahedra", "hexahedra", "wedges", "pyramids", "without_volume"];
+    let volume = report.grid["tetrahedra"]["volume"].as_f64().unwrap_or_default();
+    let mut lines = vec![
+        format!("{:<10} {} from ({}) to ({})", "points", report.grid["num_points"], corner(0), corner(1)),
+        format!("{:<10} {}: {}", "cells", report.grid["num_cells"], counts("cells", &kinds)),
+        format!(
+            "{:<10} {}; volume {}",
+            "tetrahedra",
+            counts("tetrahedra", &["kept", "inverted", "flat"]),
+            output::number(volume)
+        ),
+    ];
+    let left_out = counts("cells_left_out", &["blanked", "duplicate", "non_manifold", "without_volume"]);
+    if !left_out.is_empty() {
+        lines.push(format!("{:<10} cells: {left_out}", "left out"));
+    }
+    let notes = report.store.get("notes").and_then(Value::as_array).into_iter().flatten();
+    lines.extend(notes.filter_map(Value::as_str).map(|note| format!("{:<10} {note}", "note")));
+    lines
+}
+
 fn text(report: &InfoReport) -> String {
     let numbers = |key: &str| {
         let values = report.grid[key].as_array().into_iter().flatten();
@@ -243,19 +353,19 @@ fn text(report: &InfoReport) -> String {
     };
     let units = if report.time_units.is_empty() { String::new() } else { format!(" {}", report.time_units) };
     let (first, last) = (report.times.first().unwrap_or(&0.0), report.times.last().unwrap_or(&0.0));
-    let mut lines = vec![
-        format!(
-            "{:<10} {} {}",
-            report.kind,
-            report.grid["type"].as_str().unwrap_or_default(),
-            numbers("dims")
-        ),
-        format!(
+    let grid_type = report.grid["type"].as_str().unwrap_or_default();
+    let mut lines =
+        vec![format!("{:<10} {grid_type} {}", report.kind, numbers("dims")).trim_end().to_owned()];
+    match report.grid.get("tetrahedra") {
+        Some(_) => lines.extend(mesh_lines(report)),
+        None => lines.push(format!(
             "{:<10} {}  origin {}",
             "spacing",
             numbers("spacing"),
             numbers("origin").replace(" x ", ", ")
-        ),
+        )),
+    }
+    lines.extend([
         format!(
             "{:<10} {} from {} to {}{units}{}",
             "steps",
@@ -265,7 +375,7 @@ fn text(report: &InfoReport) -> String {
             if is_even(&report.times) { "" } else { ", unevenly spaced" }
         ),
         format!("{:<10} {}", "samples", ByteSize(report.raw_bytes)),
-    ];
+    ]);
     if let Some(stored) = report.store.get("stored_bytes").and_then(Value::as_u64) {
         let ratio = report.store["ratio"].as_f64().unwrap_or_default();
         lines.push(format!("{:<10} {} ({ratio:.1} : 1)", "stored", ByteSize(stored)));

@@ -13,7 +13,7 @@ mod gpu;
 mod interruption;
 mod long_series;
 mod memory;
-
+mod meshes;
 mod movies;
 mod pictures;
 mod usage;
