@@ -184,6 +184,7 @@ fn case(random: &mut Random) -> Case {
         variables: variables.collect(),
         zstd_level: 1,
         time_tree: random.one_in(2).then_some(TimeTreeEntry { stride: 1 }),
+        mesh: None,
         encoder: serde_json::Value::Null,
     };
     // Spans may come one by one, or all those of a window at its end.

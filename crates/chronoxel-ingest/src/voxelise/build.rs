@@ -119,7 +119,7 @@ impl<'a> Builder<'a> {
     }
 
     fn node(&mut self, depth: u8, brick: [u32; 3], list: List) -> Result<(), EncodeError> {
-        if list.len() <= self.most_in_memory {
+        if list.num_tetrahedra() <= self.most_in_memory {
             let all = self.pool.load(list)?;
             return self.node_in_memory(depth, brick, all);
         }
@@ -142,7 +142,7 @@ impl<'a> Builder<'a> {
         self.flush()?;
         self.put(depth, brick, is_leaf, raster.finish())?;
         self.counts.num_cut_off += u64::from(is_leaf && must_split);
-        for (octant, list) in children.into_lists() {
+        for (octant, list) in children.into_lists(self.pool) {
             self.node(depth + 1, child_of(brick, octant), list)?;
         }
         Ok(())
@@ -185,7 +185,7 @@ impl<'a> Builder<'a> {
         drop(all);
         self.flush()?;
         self.put(depth, brick, false, raster.finish())?;
-        for (octant, list) in children.into_lists() {
+        for (octant, list) in children.into_lists(self.pool) {
             self.node(depth + 1, child_of(brick, octant), list)?;
         }
         Ok(())
@@ -384,18 +384,14 @@ impl Boxes {
     ) -> u8 {
         let shape = Shape::new(tetrahedron.corners(mesh.places));
         let mut octants = 0;
-        for octant in 0..8 {
-            if !self.is_in_grid[octant] {
-                continue;
-            }
+        for (octant, reached) in reached.iter_mut().enumerate().filter(|(octant, _)| self.is_in_grid[*octant])
+        {
             let [low, high] = self.full[octant];
             *num_tests += 1;
             if shape.overlaps(low, high) {
                 octants |= 1 << octant;
-                if !reached[octant] {
-                    let [low, high] = self.drawn[octant];
-                    reached[octant] = shape.overlaps(low, high);
-                }
+                let [low, high] = self.drawn[octant];
+                *reached = *reached || shape.overlaps(low, high);
             }
         }
         octants
@@ -464,8 +460,15 @@ impl<'a> Children<'a> {
         Ok(())
     }
 
-    fn into_lists(self) -> impl Iterator<Item = (u8, List)> {
-        let reached = self.reached;
-        (0u8..8).zip(self.lists).filter(move |(octant, _)| reached[usize::from(*octant)])
+    /// The lists of the octants that are reached; those of the others were for aprons.
+    fn into_lists(self, pool: &mut Pool) -> Vec<(u8, List)> {
+        let mut lists = Vec::new();
+        for (octant, list) in (0u8..8).zip(self.lists) {
+            match self.reached[usize::from(octant)] {
+                true => lists.push((octant, list)),
+                false => pool.forget(list),
+            }
+        }
+        lists
     }
 }

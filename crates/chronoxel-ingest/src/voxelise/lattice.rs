@@ -33,7 +33,7 @@ impl Lattice {
         let size: [f64; 3] = std::array::from_fn(|a| high[a] - low[a]);
         let longest = size.iter().copied().fold(0.0, f64::max);
         let smallest = f64::MIN_POSITIVE * 1e20;
-        if size.iter().any(|s| !(s.is_finite() && *s >= 0.0)) || !(longest > smallest) {
+        if size.iter().any(|s| !(s.is_finite() && *s >= 0.0)) || longest <= smallest {
             return Err(EncodeError::InvalidArgument {
                 argument: "SOURCE: box of the mesh",
                 value: format!("{low:?} to {high:?}"),

@@ -110,6 +110,9 @@ pub struct VoxelReport {
     pub secs: [f64; 2],
 }
 
+/// Takes a node, and the samples of its core and apron, `[z, y, x]`, NaN where there is no data.
+pub type TakeBrick<'a> = dyn FnMut(NodeId, &[f64]) -> Result<(), EncodeError> + 'a;
+
 /// A mesh as bricks: the tree, and the map of its samples.
 pub struct Voxels {
     grid: UniformGrid,
@@ -232,26 +235,17 @@ impl Voxels {
     /// Makes the bricks of one step, level by level, finest first, in Morton order.
     ///
     /// * `values`: one for each point of the mesh
-    /// * `of_brick`: takes a node, and the samples of its core and apron, `[z, y, x]`, NaN where there is no data
     ///
     /// # Errors
     /// If the system has no room for what waits, or of `of_brick`.
-    pub fn for_each_brick(
-        &self,
-        values: Samples,
-        of_brick: &mut dyn FnMut(NodeId, &[f64]) -> Result<(), EncodeError>,
-    ) -> Result<(), EncodeError> {
+    pub fn for_each_brick(&self, values: Samples, of_brick: &mut TakeBrick<'_>) -> Result<(), EncodeError> {
         match values {
             Samples::F32(values) => self.each_brick(values, of_brick),
             Samples::F64(values) => self.each_brick(values, of_brick),
         }
     }
 
-    fn each_brick<T: Real>(
-        &self,
-        values: Vec<T>,
-        of_brick: &mut dyn FnMut(NodeId, &[f64]) -> Result<(), EncodeError>,
-    ) -> Result<(), EncodeError> {
+    fn each_brick<T: Real>(&self, values: Vec<T>, of_brick: &mut TakeBrick<'_>) -> Result<(), EncodeError> {
         let mut step = MeshStep::new(self, values, None, self.core_scratch::<T>(u64::MAX)?);
         for batch in MeshStep::<T>::batches(self, 8) {
             let make = |rank: u32, _: [usize; 3], samples: &mut Vec<T>| {

@@ -68,12 +68,10 @@ impl Raster {
             let mut to = [0usize; 3];
             for a in 0..3 {
                 let last = self.full as i64 - 1;
-                let index = |place: f64| (place * self.per_root) as i64 - self.first[a];
-                // One more on either side, for the tolerance.
-                let (f, t) = (index(low[a]) - 1, index(high[a]) + 1);
-                if f > last || t < 0 {
-                    to[a] = 0;
-                    from[a] = 1;
+                let (f, t) = ((low[a] - TOLERANCE) * self.per_root, (high[a] + TOLERANCE) * self.per_root);
+                let (f, t) = (f.ceil() as i64 - self.first[a], t.floor() as i64 - self.first[a]);
+                if f > t || f > last || t < 0 {
+                    (from[a], to[a]) = (1, 0);
                 } else {
                     (from[a], to[a]) = (f.max(0) as usize, t.min(last) as usize);
                 }
@@ -143,7 +141,7 @@ impl Raster {
         let first_place = self.first[0] as f64;
         let first = (low * self.per_root - first_place - 1e-3).ceil().max(from as f64);
         let last = (high * self.per_root - first_place + 1e-3).floor().min(to as f64);
-        if !(first <= last) {
+        if first > last {
             return None;
         }
         let (mut first, mut last) = (first as usize, last as usize);

@@ -45,13 +45,16 @@ pub enum List {
 
 impl List {
     /// How many.
-    pub fn len(&self) -> usize {
+    pub fn num_tetrahedra(&self) -> usize {
         match self {
             Self::Memory(all) => all.len(),
             Self::File { blocks, rest } => blocks.len() * BLOCK + rest.len(),
         }
     }
 }
+
+/// Takes a block of a list; whether it wants the next.
+pub type TakeBlock<'a> = dyn FnMut(&[Tetrahedron], &mut Pool) -> Result<bool, EncodeError> + 'a;
 
 /// The file that lists share.
 pub struct Pool {
@@ -100,11 +103,7 @@ impl Pool {
     }
 
     /// Hands a list on, block by block, until one is enough.
-    pub fn each(
-        &mut self,
-        list: &List,
-        of_block: &mut dyn FnMut(&[Tetrahedron], &mut Self) -> Result<bool, EncodeError>,
-    ) -> Result<(), EncodeError> {
+    pub fn each(&mut self, list: &List, of_block: &mut TakeBlock<'_>) -> Result<(), EncodeError> {
         match list {
             List::Memory(all) => of_block(all, self).map(|_| ()),
             List::File { blocks, rest } => {
@@ -171,7 +170,7 @@ mod tests {
             for part in all.chunks(7777) {
                 pool.append(&mut list, part).unwrap();
             }
-            assert_eq!(list.len(), all.len());
+            assert_eq!(list.num_tetrahedra(), all.len());
             let mut seen = Vec::new();
             let mut take = |block: &[Tetrahedron], _: &mut Pool| {
                 seen.extend_from_slice(block);

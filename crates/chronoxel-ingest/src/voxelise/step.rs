@@ -15,6 +15,9 @@ use crate::encode::mark::{Marks, mark};
 use crate::encode::real::Real;
 use crate::encode::scratch::{Scratch, Waiting};
 
+/// Takes a node's rank, brick and samples; called in parallel.
+pub type OfNode<'a, T, R> = dyn Fn(u32, [usize; 3], &mut Vec<T>) -> Result<R, EncodeError> + Sync + 'a;
+
 /// One step of one variable, as bricks.
 pub struct MeshStep<'a, T> {
     voxels: &'a Voxels,
@@ -79,13 +82,13 @@ impl<'a, T: Real> MeshStep<'a, T> {
     pub fn make<R: Send>(
         &mut self,
         batch: &LevelBatch,
-        of_brick: &(dyn Fn(u32, [usize; 3], &mut Vec<T>) -> Result<R, EncodeError> + Sync),
+        of_brick: &OfNode<'_, T, R>,
     ) -> Result<Vec<R>, EncodeError> {
         if batch.ranks.start == 0 {
             self.begin(batch.level);
         }
         let this = &*self;
-        let made: Vec<Result<(R, Option<Vec<T>>), EncodeError>> = batch
+        let made: Vec<_> = batch
             .ranks
             .clone()
             .into_par_iter()
@@ -93,7 +96,7 @@ impl<'a, T: Real> MeshStep<'a, T> {
                 this.full_brick(batch.level, rank, samples)?;
                 let octant = this.octant(batch.level, samples);
                 let brick = this.node(batch.level, rank).brick().map(|b| b as usize);
-                Ok((of_brick(rank as u32, brick, samples)?, octant))
+                Ok::<_, EncodeError>((of_brick(rank as u32, brick, samples)?, octant))
             })
             .collect();
         let mut results = Vec::with_capacity(made.len());

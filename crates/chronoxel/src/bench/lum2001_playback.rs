@@ -130,7 +130,7 @@ fn section_of(
         Column::here("hit_rate", "hit rate", Style::Fixed(3)),
     ];
     let notes = vec![
-        "frames per second, another step each frame, 512x512, the box over a third of the picture, ramp, unlit, a sample per voxel, on the CPU".to_owned(),
+        "frames per second, another step each frame, 512x512, the box over a third of the picture, filled, unlit, a sample per voxel, on the CPU".to_owned(),
         format!(
             "from disk: with --memory {}, after the files were evicted from the system's memory; the device's bytes are those that the system \
              counts for this process (0 where it does not, or where the files lie in memory)",
@@ -185,7 +185,7 @@ fn play(store: &Path, memory_bytes: u64, disk: Disk, on_step: &mut dyn FnMut()) 
     let (camera, _) = camera_for_share(&grid)?;
     let view = View {
         camera,
-        transfer: session.resolve(&TransferFunction::built_in("ramp", ColorMap::Viridis)?)?,
+        transfer: session.resolve(&TransferFunction::built_in("filled", ColorMap::Viridis)?)?,
         size: super::stepping::SIZE,
         step_voxels: STEP_VOXELS,
         lighting: None,
@@ -194,7 +194,7 @@ fn play(store: &Path, memory_bytes: u64, disk: Disk, on_step: &mut dyn FnMut()) 
         coherence: None,
     };
     let throttle = (disk == Disk::Throttled).then_some(DISK_BYTES_PER_SEC);
-    let options = PlayerOptions { throttle, redraws: true, ..PlayerOptions::default() };
+    let options = PlayerOptions { throttle, redraws: true, loops: false, ..PlayerOptions::default() };
     let mut player = Player::new(session, (0..num_steps).collect(), options)?;
     if disk == Disk::InCore {
         for _ in 0..num_steps {

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, str::FromStr};
 
 use chronoxel_ingest::{
-    Opened, TimeSeries,
+    Opened,
     sources::{self, SourceOptions},
 };
 use clap::{Args, builder::NonEmptyStringValueParser};
@@ -76,25 +76,7 @@ pub struct SourceHints {
     pub flat_threshold: Option<f64>,
 }
 
-impl SourceArgs {
-    /// Opens the source, to be read within the memory that the user gave.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being read.
-    pub fn open(&self, common: &Common) -> anyhow::Result<Box<dyn TimeSeries>> {
-        self.hints.open(common, &self.source)
-    }
-}
-
 impl SourceHints {
-    /// Opens a source with these hints.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being read.
-    pub fn open(&self, common: &Common, source: &[String]) -> anyhow::Result<Box<dyn TimeSeries>> {
-        Ok(sources::open(source, &self.options(common))?)
-    }
-
     /// Opens a source with these hints, whatever its grid.
     ///
     /// # Errors

@@ -218,6 +218,7 @@ impl PlayArgs {
             upload_limit: self.upload_limit.map(|limit| limit.0),
             redraws: true,
             read_back: ReadBack::Bytes,
+            loops: num_frames > steps.len(),
         };
         let mut player = Player::new(session, order, options)?;
         if self.warm == Switch::On {

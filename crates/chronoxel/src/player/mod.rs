@@ -47,6 +47,8 @@ pub struct PlayerOptions {
     pub redraws: bool,
     /// What comes back of pictures.
     pub read_back: ReadBack,
+    /// Whether playing starts over at the end: else nothing is read ahead beyond it.
+    pub loops: bool,
 }
 
 impl Default for PlayerOptions {
@@ -58,6 +60,7 @@ impl Default for PlayerOptions {
             upload_limit: None,
             redraws: false,
             read_back: ReadBack::Floats,
+            loops: true,
         }
     }
 }
@@ -152,7 +155,7 @@ impl Player {
             num_steps - 1
         );
         let num_steps = order.len() as u32;
-        let head = Playhead { num_steps, position: 0.0, steps_per_frame: 1.0, is_looping: true };
+        let head = Playhead { num_steps, position: 0.0, steps_per_frame: 1.0, is_looping: options.loops };
         let budgets = session.lend_memory();
         let tree = store.tree();
         let num_nodes: usize = (0..tree.num_levels()).map(|level| tree.nodes(level as u8).len()).sum();
@@ -286,7 +289,13 @@ impl Player {
     /// Places whose steps will be shown next, nearest first.
     fn coming(&self, place: usize) -> Vec<usize> {
         match self.options.late {
-            Late::Wait => (1..=self.num_ahead).map(|distance| place + distance).collect(),
+            Late::Wait => {
+                let end = if self.options.loops { usize::MAX } else { self.order.len() };
+                (1..=self.num_ahead)
+                    .map(|distance| place + distance)
+                    .take_while(|place| *place < end)
+                    .collect()
+            }
             Late::Drop => {
                 let coming = self.playback.coming(self.num_ahead as u32);
                 coming.into_iter().skip(1).map(|(place, _)| place as usize).collect()

@@ -18,3 +18,4 @@ mod movies;
 mod pictures;
 mod playing;
 mod usage;
+mod voxels;
