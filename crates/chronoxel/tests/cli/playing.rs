@@ -7,10 +7,13 @@ use tempfile::tempdir;
 use crate::{
     command::{at, json, number, refused},
     files::{noise, write_u8_steps},
+    gpu::can_draw,
 };
 
 /// The program's code, the stacks of its threads, what the allocator keeps, and the picture on its way.
 const BASE_BYTES: f64 = 32.0 * 1048576.0;
+/// The same with a software driver of a GPU, and what it compiles.
+const GPU_BASE_BYTES: f64 = 160.0 * 1048576.0;
 const MIB: f64 = 1048576.0;
 
 /// 24 steps of noise, which does not shrink: a megabyte each and more.
@@ -41,6 +44,40 @@ fn a_store_larger_than_memory_plays_twice_round_both_ways() {
         println!("--memory {:.1} MiB: {:.1} MiB resident at most", memory / MIB, peak / MIB);
         assert!(peak < 1.1 * memory + BASE_BYTES, "{peak} bytes at {memory}");
     }
+}
+
+#[test]
+fn so_it_does_on_a_gpu() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    let stored = store_in(folder);
+    if !can_draw(folder) {
+        return;
+    }
+    let (memory, gpu_memory) = (stored / 4.5, 24.0 * MIB);
+    let play = |options: &str| {
+        let line = format!(
+            "play run.cxl --backend gpu --size 48x48 --lighting off --memory {memory:.0} --gpu-memory 24MiB {options}"
+        );
+        json(folder, &line)
+    };
+    let report = play("--frames 48 --reverse");
+    assert_eq!((number(&report, "frames"), number(&report, "stand_ins")), (48.0, 0.0));
+    assert!(number(&report, "gpu_bytes_peak") <= gpu_memory);
+    let peak = number(&report, "peak_rss_bytes");
+    println!("{:.1} MiB and 24 MiB of a GPU: {:.1} MiB resident at most", memory / MIB, peak / MIB);
+    assert!(peak < 1.1 * memory + gpu_memory + GPU_BASE_BYTES, "{peak} bytes at {memory}");
+    // A step has more than a megabyte of payloads: what may not be sent is drawn coarser.
+    let limited = play("--frames 12 --upload-limit 512KiB --csv frames.csv");
+    assert!(number(&limited, "stand_ins") > 20.0, "{limited}");
+    let csv = fs::read_to_string(folder.join("frames.csv")).unwrap();
+    let column = csv.lines().next().unwrap().split(',').position(|name| name == "bytes_uploaded").unwrap();
+    let sent: Vec<u64> =
+        csv.lines().skip(1).map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect();
+    assert!(
+        sent.iter().all(|bytes| *bytes <= 512 << 10) && sent.iter().any(|bytes| *bytes > 256 << 10),
+        "{sent:?}"
+    );
 }
 
 #[test]
