@@ -1,4 +1,5 @@
-//! Sources: one file per format, each opened by [`open`] as a [`TimeSeries`].
+//! Sources: one file per format, each opened by [`open_any`] as a [`TimeSeries`] or, where the grid is not uniform, as a
+//! [`MeshSeries`].
 //!
 //! A format is chosen by the file's extension and held against its first bytes. Headers are read when a
 //! series is opened, samples only when a step is; both are treated as hostile.
@@ -129,6 +130,9 @@ pub fn open_mesh(inputs: &[String], options: &SourceOptions) -> Result<Box<dyn M
 }
 
 /// Opens a source, whether it is a uniform volume or a mesh.
+///
+/// A mesh has one step per file. PLOT3D takes one grid and its solutions, in any order; the geometry of other meshes is that of the first
+/// file, and a later step that differs is an error when it is read.
 ///
 /// # Errors
 /// As [`open`].
