@@ -187,10 +187,9 @@ impl EncodeArgs {
             (self.max_depth.is_some(), "--max-depth"),
         ];
         match given.iter().find(|(is_given, _)| *is_given) {
-            Some((_, option)) => Err(WrongUsage(format!(
-                "{option}: the source is a uniform grid, which is bricks already; leave it out"
-            ))
-            .into()),
+            Some((_, option)) => {
+                anyhow::bail!("{option}: the source is a uniform grid, which is bricks already: leave it out")
+            }
             None => Ok(()),
         }
     }
