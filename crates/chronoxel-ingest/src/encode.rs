@@ -36,8 +36,8 @@ mod windowed;
 use std::path::Path;
 use std::time::Instant;
 
-use chronoxel_core::{BrickLayout, NodeId, Octree, SampleType, octree::levels_of};
-use chronoxel_store::{MeshEntry, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
+use chronoxel_core::{BrickLayout, SampleType, octree::levels_of};
+use chronoxel_store::{StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -181,34 +181,13 @@ impl Job {
         let variables = options.choose_variables(source.variables(), source.times().num_steps())?;
         let types = variables.iter().map(|(index, _)| source.variables()[*index].sample_type);
         let sample_type = types.max_by_key(|t| t.num_bytes()).unwrap_or(SampleType::F64);
-        let (tree, mesh, finest_samples) = match source {
-            Source::Volume(_) => (Octree::full(&levels), None, grid.num_samples() as u64),
-            Source::Mesh(mesh, voxels) => {
-                let entry = MeshEntry {
-                    kind: mesh.grid_type().name().into(),
-                    num_cells: voxels.report().census.cells.total(),
-                    num_points: mesh.num_points() as u64,
-                };
-                (voxels.tree().clone(), Some(entry), voxels.num_finest_samples())
-            }
-        };
+        let tree = source.tree(&levels);
+        let finest_samples = source.num_finest_samples();
+        let is_mesh = matches!(source, Source::Mesh(..));
         let num_threads = rayon::current_num_threads();
-        let core_bytes = if mesh.is_some() { options.memory_bytes / budget::CORE_SHARE } else { 0 };
-        let source_bytes = match source {
-            Source::Volume(series) => series.working_bytes(),
-            Source::Mesh(mesh, voxels) => {
-                let values = 2 * sample_type.num_bytes().max(4) as u64 * mesh.num_points() as u64;
-                mesh.working_bytes() + values + voxels.held_bytes(num_threads) + core_bytes
-            }
-        };
+        let core_bytes = if is_mesh { options.memory_bytes / budget::CORE_SHARE } else { 0 };
         let nodes: Vec<u64> = levels.iter().map(|level| tree.nodes(level.level).len() as u64).collect();
-        let num_leaves = levels
-            .iter()
-            .flat_map(|level| {
-                tree.nodes(level.level).iter().map(|&m| NodeId { level: level.level, morton: m })
-            })
-            .filter(|node| tree.is_leaf(*node))
-            .count() as u64;
+        let num_leaves = source::num_leaves(&tree);
         let time_tree = TimeTreeEntry::of_samples(finest_samples);
         let most =
             |of: &dyn Fn(&How) -> u64| variables.iter().map(|(_, coding)| of(&coding.how)).max().unwrap_or(0);
@@ -218,10 +197,10 @@ impl Job {
             sample_type,
             num_volumes: (variables.len() as u64).saturating_mul(source.times().num_steps() as u64),
             num_threads,
-            source_bytes,
+            source_bytes: source.working_bytes(sample_type, num_threads) + core_bytes,
             nodes: &nodes,
             num_leaves,
-            has_slices: mesh.is_none(),
+            has_slices: !is_mesh,
             window: most(&|how| u64::from(how.window())) as u32,
             copies: most(&How::copies),
             held_nodes: most(&|how| how.held_nodes(&levels[0])),
@@ -251,8 +230,8 @@ impl Job {
             variables: described.collect(),
             zstd_level: variables.iter().map(|(_, coding)| coding.how.zstd_level()).max().unwrap_or(1),
             time_tree: Some(time_tree),
-            encoder: options.recorded(mesh.is_some()),
-            mesh,
+            encoder: options.recorded(is_mesh),
+            mesh: source.mesh_entry(),
         };
         let plan = StreamPlan { levels, layout, slab_slices: portions.slab_slices };
         let num_values = source.num_values();

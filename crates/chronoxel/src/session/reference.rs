@@ -28,6 +28,15 @@ pub fn compute(
     transfer: &ResolvedTransfer,
     space: ColorSpace,
 ) -> anyhow::Result<ReferenceErrors> {
+    let is_adaptive = (1..store.tree().num_levels() as u8).any(|level| {
+        let mut nodes = store.tree().nodes(level).iter().map(|&morton| NodeId { level, morton });
+        nodes.any(|node| store.tree().is_leaf(node))
+    });
+    anyhow::ensure!(
+        !is_adaptive,
+        "{}: the reference metric looks at voxels of level 0, which this tree does not have everywhere: use another metric",
+        store.path().display()
+    );
     let colors = VoxelColors::new(transfer, space);
     let geometry = store.header().geometry()[0];
     // [step][rank]
