@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use chronoxel_core::{
-    BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, SpanKind, SpanRecord, UniformGrid,
+    BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, Projection, SpanKind, SpanRecord, UniformGrid,
     metrics::{ColorSpace, ColorTable, approximate_spatial},
 };
 use chronoxel_store::Store;
@@ -172,6 +172,36 @@ impl FrameNodes<'_> {
     }
 }
 
+impl FrameNodes<'_> {
+    /// Samples that rays take in a node, roughly: its visible volume times the rays that cross a unit of area there, over the step length.
+    fn num_samples(&self, node: NodeId) -> f64 {
+        let [low, high] = self.region(node);
+        let place = |i: usize, t: f64| -> [f64; 3] {
+            std::array::from_fn(|a| {
+                let t = if i >> a & 1 == 1 { 1.0 - t } else { t };
+                low[a] + t * (high[a] - low[a])
+            })
+        };
+        let visible = (0..8).filter(|&i| self.volume.may_see([place(i, 0.25), place(i, 0.25)])).count();
+        let camera = &self.view.camera;
+        let extent: [f64; 3] = std::array::from_fn(|a| (high[a] - low[a]) * self.grid.spacing[a]);
+        let per_unit = self.view.size[1] as f64 / (2.0 * camera.half_height());
+        let per_unit = match camera.projection() {
+            Projection::Orthographic { .. } => per_unit,
+            Projection::Perspective { .. } => {
+                let centre = self.grid.world_from_voxel(place(0, 0.5));
+                let distance = (0..3).map(|a| (centre[a] - camera.position()[a]).powi(2)).sum::<f64>().sqrt();
+                // From within a box, most of it is half its size away.
+                let size = extent.iter().copied().fold(0.0, f64::max);
+                per_unit / distance.max(0.5 * size)
+            }
+        };
+        let step = self.view.step_voxels * self.grid.smallest_spacing() * f64::from(node.level).exp2();
+        let share = (visible.max(1)) as f64 / 8.0;
+        share * extent.iter().product::<f64>() * per_unit * per_unit / step
+    }
+}
+
 /// The key of what must be in memory to draw a span; `None` where nothing must.
 pub(super) fn key_of(level: u8, record: &SpanRecord) -> Option<HeldKey> {
     match (record.kind, record.mask) {
@@ -200,12 +230,7 @@ impl NodeView for FrameNodes<'_> {
         if matches!(record.kind, SpanKind::Constant(_)) && record.mask.is_none() {
             return 1.0;
         }
-        let num_pixels = (self.view.size[0] * self.view.size[1]) as f64;
-        // The mean shadow of a cube is one and a half of its faces.
-        let edge_pixels = self.pixels_per_voxel(node) * self.layout.edge as f64;
-        let area = (1.5 * edge_pixels * edge_pixels).min(num_pixels);
-        let along_ray = self.layout.edge as f64 / self.view.step_voxels;
-        area * along_ray + DECODE_COST * self.layout.num_full() as f64
+        self.num_samples(node) + DECODE_COST * self.layout.num_full() as f64
     }
 
     fn num_bytes(&mut self, node: NodeId) -> usize {
