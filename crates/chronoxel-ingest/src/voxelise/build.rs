@@ -66,8 +66,10 @@ struct Job {
     tetrahedra: Vec<Tetrahedron>,
 }
 
-/// Records in a list below which a subtree is built in parallel.
+/// Length of a list below which a subtree is built in parallel, and what part of the longest list in memory it is at most: all lists
+/// of a subtree, in which a tetrahedron can be many times, are there together.
 const SUBTREE: usize = 1 << 15;
+const SUBTREE_SHARE: usize = 64;
 /// Nodes and tetrahedra that wait to be sampled together.
 const BATCH_NODES: usize = 256;
 const BATCH_TETRAHEDRA: usize = 1 << 20;
@@ -164,7 +166,7 @@ impl<'a> Builder<'a> {
         brick: [u32; 3],
         all: Vec<Tetrahedron>,
     ) -> Result<(), EncodeError> {
-        if all.len() <= SUBTREE.min(self.most_in_memory / 4) {
+        if all.len() <= SUBTREE.min(self.most_in_memory / SUBTREE_SHARE) {
             let mut num_cut_off = 0;
             let jobs = subtree(self.mesh, depth, brick, all, &self.num_tests, &mut num_cut_off);
             self.counts.num_cut_off += num_cut_off;

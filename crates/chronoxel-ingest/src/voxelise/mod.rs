@@ -127,6 +127,9 @@ pub struct Voxels {
     report: VoxelReport,
 }
 
+/// What is kept of a node: here, in the map, and while its step is made and encoded.
+const NODE_BYTES: u64 = 320;
+
 impl Voxels {
     /// Bytes of memory for each point of a mesh while it is voxelised, at most.
     pub const BYTES_PER_POINT: u64 = needs::BYTES_PER_POINT + 24 + 1;
@@ -220,9 +223,11 @@ impl Voxels {
         self.nodes.iter().zip(&self.levels).map(of_level).sum()
     }
 
-    /// Bytes of the maps that lie in memory, of what `num_threads` of them need when read from the file, and of the points.
+    /// Bytes of the maps that lie in memory, of what `num_threads` of them need when read from the file, of the points and the nodes.
     pub fn held_bytes(&self, num_threads: usize) -> u64 {
+        let num_nodes: usize = self.nodes.iter().map(Vec::len).sum();
         self.maps.memory_bytes()
+            + NODE_BYTES * num_nodes as u64
             + self.maps.largest_bytes() * num_threads as u64
             + size_of_val(self.places.as_slice()) as u64
     }

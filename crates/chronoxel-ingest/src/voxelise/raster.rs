@@ -2,7 +2,7 @@
 //!
 //! A tetrahedron is convex, so that its samples of a row are an interval, found from its four planes without a test per sample.
 //! Planes are evaluated at the samples' places in the lattice, by the same operations in every brick: bricks agree on the samples
-//! they share. A sample within [`TOLERANCE`] of several tetrahedra belongs to the first in the order of the mesh.
+//! they share. A sample within the tolerance of several tetrahedra belongs to the first in the order of the mesh.
 
 use chronoxel_core::BrickLayout;
 

@@ -191,3 +191,32 @@ fn an_interrupted_store_goes_on_to_the_same_bytes() {
         sound(&parts);
     }
 }
+
+#[test]
+fn points_without_a_value_mask_the_tetrahedra_around_them() {
+    let folder = tempfile::tempdir().unwrap();
+    // NaN in a part that moves, and the value that means "no data".
+    let field = |p: [f64; 3], step: usize| match p[0] - 10.0 - 0.3 * step as f64 {
+        x if (0.0..0.4).contains(&x) => f64::NAN,
+        x if x > 1.2 => -9.0,
+        _ => wavy(p, step),
+    };
+    for codec in [Codec::Raw, Codec::Auto] {
+        let path = folder.path().join(format!("{}.cxl", codec.name()));
+        let mut mesh = with_field(ring(), SampleType::F32, field);
+        let max_error = (codec == Codec::Auto).then_some(0.01);
+        let options = EncodeOptions { fill_value: Some(-9.0), max_error, ..options(codec) };
+        let report = encode_mesh(&mut mesh, &path, &options, &mut |_| {}).unwrap();
+        let points = mesh.points().unwrap();
+        let is_masked = |v: f64| v.is_nan() || v == -9.0;
+        let of_step = |step| points.iter().filter(|p| is_masked(field(**p, step))).count() as u64;
+        assert_eq!((report.num_masked, report.num_infinite), ((0..3).map(of_step).sum(), 0));
+        let store = sound(&path);
+        let entry = &store.header().variables[0];
+        assert_eq!(entry.fill_value, Some(-9.0));
+        assert!(entry.min.unwrap() > -2.0, "{:?}", entry.min);
+        let found = measure_mesh(&store, &mut mesh, 1 << 28, 0..3).unwrap();
+        assert!(found.problems.is_empty(), "{:?}", found.problems);
+        assert!(found.variables[0].max_abs_error <= 0.01);
+    }
+}
