@@ -173,32 +173,30 @@ impl FrameNodes<'_> {
 }
 
 impl FrameNodes<'_> {
-    /// Samples that rays take in a node, roughly: its visible volume times the rays that cross a unit of area there, over the step length.
+    /// Samples that rays take in a node, roughly: for each octant that is seen, its volume times the rays that cross a unit of area there, over the step length.
     fn num_samples(&self, node: NodeId) -> f64 {
         let [low, high] = self.region(node);
-        let place = |i: usize, t: f64| -> [f64; 3] {
-            std::array::from_fn(|a| {
-                let t = if i >> a & 1 == 1 { 1.0 - t } else { t };
-                low[a] + t * (high[a] - low[a])
-            })
-        };
-        let visible = (0..8).filter(|&i| self.volume.may_see([place(i, 0.25), place(i, 0.25)])).count();
         let camera = &self.view.camera;
-        let extent: [f64; 3] = std::array::from_fn(|a| (high[a] - low[a]) * self.grid.spacing[a]);
+        let extent: [f64; 3] = std::array::from_fn(|a| 0.5 * (high[a] - low[a]) * self.grid.spacing[a]);
+        let size = extent.iter().copied().fold(0.0, f64::max);
         let per_unit = self.view.size[1] as f64 / (2.0 * camera.half_height());
-        let per_unit = match camera.projection() {
-            Projection::Orthographic { .. } => per_unit,
-            Projection::Perspective { .. } => {
-                let centre = self.grid.world_from_voxel(place(0, 0.5));
-                let distance = (0..3).map(|a| (centre[a] - camera.position()[a]).powi(2)).sum::<f64>().sqrt();
-                // From within a box, most of it is half its size away.
-                let size = extent.iter().copied().fold(0.0, f64::max);
-                per_unit / distance.max(0.5 * size)
+        let rays_per_area = |octant: usize| {
+            let centre: [f64; 3] = std::array::from_fn(|a| {
+                low[a] + (0.25 + 0.5 * (octant >> a & 1) as f64) * (high[a] - low[a])
+            });
+            if !self.volume.may_see([centre, centre]) {
+                return 0.0;
+            }
+            let world = self.grid.world_from_voxel(centre);
+            let distance = (0..3).map(|a| (world[a] - camera.position()[a]).powi(2)).sum::<f64>().sqrt();
+            match camera.projection() {
+                Projection::Orthographic { .. } => per_unit * per_unit,
+                // From within, most of an octant is half its size away.
+                Projection::Perspective { .. } => (per_unit / distance.max(0.5 * size)).powi(2),
             }
         };
         let step = self.view.step_voxels * self.grid.smallest_spacing() * f64::from(node.level).exp2();
-        let share = (visible.max(1)) as f64 / 8.0;
-        share * extent.iter().product::<f64>() * per_unit * per_unit / step
+        (0..8).map(rays_per_area).sum::<f64>() * extent.iter().product::<f64>() / step
     }
 }
 
