@@ -127,8 +127,9 @@ pub struct Voxels {
     report: VoxelReport,
 }
 
-/// What is kept of a node: here, in the map, and while its step is made and encoded.
-const NODE_BYTES: u64 = 320;
+/// What is kept of a node: here, in the map, and while its step is made, encoded and put; a mesh has many nodes and may have few steps, so
+/// that what the writer holds of them at the end is not small beside bricks.
+const NODE_BYTES: u64 = 1280;
 
 impl Voxels {
     /// Bytes of memory for each point of a mesh while it is voxelised, at most.
