@@ -78,7 +78,7 @@ mod tests {
         let depth = (antiderivative(0.7) - antiderivative(0.1)) / 0.6 * 3.0;
         for values in [[0.1, 0.7], [0.7, 0.1]] {
             let alpha = integrate_segment(&transfer, values, 3.0, 1.0, (1.0, 0.0))[3];
-            assert!((alpha - (1.0 - (-depth).exp())).abs() < 2e-5, "{alpha} {depth}");
+            assert!((alpha - (1.0 - (-depth).exp())).abs() < 5e-5, "{alpha} {depth}");
         }
     }
 }
