@@ -167,7 +167,7 @@ impl CellRenderer {
             };
             let job = Job { view, corners: &self.corners, cosines: cosines.as_deref(), look };
             let (image, counts) = draw(&job, self.options)?;
-            stats.num_faces = view.bins.iter().map(|bin| bin.faces.len()).sum();
+            stats.num_faces = view.bins.iter().map(|bin| bin.num_faces).sum();
             stats.num_fragments = counts.fragments;
             stats.num_misordered = counts.misordered;
             stats.render_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -326,8 +326,7 @@ unsafe fn draw_tile_avx512vl<const K: usize>(job: &Job, number: usize, tile: &mu
 #[inline(always)]
 unsafe fn draw_tile<W: Wide, const K: usize>(job: &Job, number: usize, tile: &mut Tile<K>) {
     for bin in &job.view.bins {
-        for &face in &bin.list[bin.starts[number] as usize..bin.starts[number + 1] as usize] {
-            let [a, b, c, net] = bin.faces[face as usize];
+        for &[a, b, c, net] in &bin.list[bin.starts[number] as usize..bin.starts[number + 1] as usize] {
             let points = [a, b, c].map(|p| p as usize);
             let corners = points.map(|p| job.corners[p]);
             let cosines = job.cosines.map_or([0.0; 3], |cosines| points.map(|p| cosines[p]));

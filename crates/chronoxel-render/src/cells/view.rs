@@ -31,11 +31,12 @@ pub(super) struct Cut {
 /// A part of the sorted faces, and which of them each tile may see.
 #[derive(Debug, Default)]
 pub(super) struct Bin {
-    pub faces: Vec<ViewFace>,
+    /// Faces that cover the centre of a pixel.
+    pub num_faces: usize,
     /// Where the list of each tile starts in `list`, and the end.
     pub starts: Vec<u32>,
-    /// Numbers of faces.
-    pub list: Vec<u32>,
+    /// The faces themselves, tile after tile: a tile then reads one run of memory.
+    pub list: Vec<ViewFace>,
 }
 
 /// A mesh as it is seen from somewhere.
@@ -97,7 +98,7 @@ impl CellView {
 
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
-        let of_bin = |bin: &Bin| 16 * bin.faces.capacity() + 4 * (bin.starts.len() + bin.list.capacity());
+        let of_bin = |bin: &Bin| 4 * bin.starts.len() + 16 * bin.list.len();
         4 * self.order.len() + 12 * self.points.len() + self.bins.iter().map(of_bin).sum::<usize>()
     }
 
@@ -141,35 +142,26 @@ impl CellView {
         self.bins = parts.into_par_iter().with_max_len(1).map(|faces| this.bin(faces)).collect();
     }
 
-    /// The faces that cover the centre of a pixel, and the tiles that they may touch.
-    fn bin(&self, mut faces: Vec<ViewFace>) -> Bin {
+    /// The lists of the tiles.
+    fn bin(&self, faces: Vec<ViewFace>) -> Bin {
         let [across, down] = self.num_tiles();
         let mut starts = vec![0u32; across * down + 1];
-        let mut ranges = Vec::with_capacity(faces.len());
-        faces.retain(|face| {
-            let range = self.tiles_of(face);
-            if let Some([columns, rows]) = range {
-                ranges.push([columns, rows]);
-                for row in rows[0]..=rows[1] {
-                    (columns[0]..=columns[1])
-                        .for_each(|c| starts[usize::from(row) * across + usize::from(c) + 1] += 1);
-                }
-            }
-            range.is_some()
-        });
+        let mut seen = Vec::with_capacity(faces.len());
+        for face in faces {
+            let Some(range) = self.tiles_of(&face) else { continue };
+            tiles_in(range, across).for_each(|tile| starts[tile + 1] += 1);
+            seen.push((face, range));
+        }
         (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
         let mut next = starts.clone();
-        let mut list = vec![0u32; starts[across * down] as usize];
-        for (number, [columns, rows]) in (0u32..).zip(&ranges) {
-            for row in rows[0]..=rows[1] {
-                for column in columns[0]..=columns[1] {
-                    let next = &mut next[usize::from(row) * across + usize::from(column)];
-                    list[*next as usize] = number;
-                    *next += 1;
-                }
+        let mut list = vec![[0; 4]; starts[across * down] as usize];
+        for &(face, range) in &seen {
+            for tile in tiles_in(range, across) {
+                list[next[tile] as usize] = face;
+                next[tile] += 1;
             }
         }
-        Bin { faces, starts, list }
+        Bin { num_faces: seen.len(), starts, list }
     }
 
     /// First and last column and row of the tiles that have a pixel's centre in the face's box.
@@ -189,6 +181,13 @@ impl CellView {
         }
         Some(range)
     }
+}
+
+/// Numbers of the tiles between a first and a last column and row.
+fn tiles_in([columns, rows]: [[u16; 2]; 2], across: usize) -> impl Iterator<Item = usize> {
+    (rows[0]..=rows[1]).flat_map(move |row| {
+        (columns[0]..=columns[1]).map(move |column| usize::from(row) * across + usize::from(column))
+    })
 }
 
 fn sorted_faces(mesh: &CellMesh, camera: &Camera, choice: Option<&FaceChoice>) -> Vec<u32> {
