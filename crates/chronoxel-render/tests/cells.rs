@@ -67,7 +67,11 @@ fn fog_in_a_box_has_the_opacity_of_each_rays_length() {
             let alpha = 1.0 - 0.97f64.powf(length / scene.opacity_unit);
             assert!((f64::from(exact.pixels[i][3]) - alpha).abs() < 1e-6, "{i}");
             // Corners are rounded to 2^-18 of a pixel's place: the ray is a bit longer or shorter.
-            assert!((f64::from(found.pixels[i][3]) - alpha).abs() < 2e-4, "{i} {:?} {alpha}", found.pixels[i]);
+            assert!(
+                (f64::from(found.pixels[i][3]) - alpha).abs() < 2e-4,
+                "{i} {:?} {alpha}",
+                found.pixels[i]
+            );
             assert!((f64::from(found.pixels[i][1]) - alpha * 0.5).abs() < 2e-4);
         }
     }
@@ -90,7 +94,11 @@ fn the_space_in_a_hole_and_in_a_bay_is_empty() {
             let length = length_in_box(&scene, i, [[0.0; 3], [1.0; 3]]) - hole - bay;
             let alpha = 1.0 - 0.97f64.powf(length / scene.opacity_unit);
             assert!((f64::from(exact.pixels[i][3]) - alpha).abs() < 1e-6, "{i}");
-            assert!((f64::from(found.pixels[i][3]) - alpha).abs() < 3e-4, "{i} {:?} {alpha}", found.pixels[i]);
+            assert!(
+                (f64::from(found.pixels[i][3]) - alpha).abs() < 3e-4,
+                "{i} {:?} {alpha}",
+                found.pixels[i]
+            );
         }
     }
 }
@@ -174,7 +182,9 @@ fn the_fast_picture_is_the_reference() {
             let psnr = psnr(&exact, &found);
             println!(
                 "{function} {fov:?} lit {lit} k {k}: {psnr:.1} dB, {} of {} fragments misordered, largest {}",
-                stats.num_misordered, stats.num_fragments, largest_difference(&exact, &found)
+                stats.num_misordered,
+                stats.num_fragments,
+                largest_difference(&exact, &found)
             );
             assert!(k < 16 || stats.num_misordered == 0);
             assert!(psnr >= if k == 2 { 25.0 } else { 40.0 });

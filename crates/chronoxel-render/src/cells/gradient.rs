@@ -34,8 +34,7 @@ fn weighted_gradient(mesh: &CellMesh, cell: [u32; 4], values: &[f32]) -> [f32; 3
     let [va, vb, vc, vd] = cell.map(|p| f64::from(values[p as usize]));
     let (ab, ac, ad) = (sub(b, a), sub(c, a), sub(d, a));
     let (nb, nc, nd) = (cross(ac, ad), cross(ad, ab), cross(ab, ac));
-    let sum: [f64; 3] =
-        std::array::from_fn(|i| (vb - va) * nb[i] + (vc - va) * nc[i] + (vd - va) * nd[i]);
+    let sum: [f64; 3] = std::array::from_fn(|i| (vb - va) * nb[i] + (vc - va) * nc[i] + (vd - va) * nd[i]);
     if sum.iter().all(|c| c.is_finite()) { sum.map(|c| c as f32) } else { [0.0; 3] }
 }
 
@@ -45,7 +44,8 @@ mod tests {
 
     #[test]
     fn a_linear_field_has_one_gradient() {
-        let points = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.2], [0.0, 1.5, 0.0], [0.1, 0.0, 1.0], [1.0, 1.0, 1.0]];
+        let points =
+            vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.2], [0.0, 1.5, 0.0], [0.1, 0.0, 1.0], [1.0, 1.0, 1.0]];
         let value = |p: &[f64; 3]| (2.0 * p[0] - p[1] + 2.0 * p[2] + 7.0) as f32;
         let values: Vec<f32> = points.iter().map(value).collect();
         let mesh = CellMesh::new(points, &[[0, 1, 2, 3], [1, 2, 3, 4]]).unwrap();

@@ -26,9 +26,8 @@ impl FaceChoice {
             (0..mesh.faces.len() as u32).partition(|&f| mesh.faces[f as usize].is_boundary);
         let wanted = (fraction.clamp(0.0, 1.0) * mesh.faces.len() as f64).round() as usize;
         let num = wanted.saturating_sub(faces.len()).min(inner.len());
-        let order = |a: &u32, b: &u32| {
-            importance[*b as usize].total_cmp(&importance[*a as usize]).then(a.cmp(b))
-        };
+        let order =
+            |a: &u32, b: &u32| importance[*b as usize].total_cmp(&importance[*a as usize]).then(a.cmp(b));
         if num < inner.len() {
             inner.select_nth_unstable_by(num, order);
             inner.truncate(num);
@@ -83,7 +82,8 @@ impl Variation {
     pub fn coefficients(&self, value_range: [f64; 2]) -> Vec<f32> {
         let guard = (LEAST_MEAN * (value_range[1] - value_range[0])).max(f64::MIN_POSITIVE);
         let num = f64::from(self.num_steps.max(1));
-        let of = |[mean, squares]: &[f64; 2]| ((squares.max(0.0) / num).sqrt() / mean.abs().max(guard)) as f32;
+        let of =
+            |[mean, squares]: &[f64; 2]| ((squares.max(0.0) / num).sqrt() / mean.abs().max(guard)) as f32;
         self.moments.iter().map(of).collect()
     }
 

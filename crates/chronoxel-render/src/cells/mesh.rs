@@ -149,11 +149,7 @@ impl CellMesh {
 /// The tetrahedron so that `(b - a) × (c - a) · (d - a) > 0`; `None` if it is flat.
 fn positively_oriented(points: &[[f64; 3]], [a, b, c, d]: [u32; 4]) -> Option<[u32; 4]> {
     let volume = six_volumes(points, [a, b, c, d]);
-    if volume > 0.0 {
-        Some([a, b, c, d])
-    } else {
-        (volume < 0.0).then_some([a, c, b, d])
-    }
+    if volume > 0.0 { Some([a, b, c, d]) } else { (volume < 0.0).then_some([a, c, b, d]) }
 }
 
 /// Six times the volume of a tetrahedron, positive if it is positively oriented.

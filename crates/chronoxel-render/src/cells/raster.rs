@@ -162,7 +162,8 @@ impl CellRenderer {
             let look = Look {
                 is_perspective: view.is_perspective(),
                 table: &table.entries,
-                lengths: ((super::table::NUM_LENGTHS * super::table::NUM_LENGTHS) as f64 / table.longest) as f32,
+                lengths: ((super::table::NUM_LENGTHS * super::table::NUM_LENGTHS) as f64 / table.longest)
+                    as f32,
                 light: light.as_deref(),
             };
             let job = Job { view, corners: &self.corners, cosines: cosines.as_deref(), look };

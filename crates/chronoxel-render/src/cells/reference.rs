@@ -54,8 +54,7 @@ pub fn render_cells_reference(
                 lighting.headlight_terms([segment.cosine, side, 0.0], [1.0, 0.0, 0.0])
             });
             let length = segment.ends[1] - segment.ends[0];
-            let color =
-                integrate_segment(&scene.transfer, segment.values, length, scene.opacity_unit, light);
+            let color = integrate_segment(&scene.transfer, segment.values, length, scene.opacity_unit, light);
             compositing::accumulate(&mut sum, color);
         }
         *pixel = sum.map(|c| c as f32);

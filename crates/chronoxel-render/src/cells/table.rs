@@ -52,8 +52,9 @@ impl CellTable {
         let [low, high] = value_range;
         let width = if high > low { high - low } else { 1.0 };
         let value = |node: f64| low + width * node / LAST_NODE as f64;
-        let bins: Vec<Matter> =
-            (0..LAST_NODE).map(|i| mean_matter(transfer, value(i as f64), value((i + 1) as f64), unit)).collect();
+        let bins: Vec<Matter> = (0..LAST_NODE)
+            .map(|i| mean_matter(transfer, value(i as f64), value((i + 1) as f64), unit))
+            .collect();
         let nodes: Vec<Matter> =
             (0..=LAST_NODE).map(|i| matter(transfer.evaluate(value(i as f64)), unit)).collect();
         let mut entries = vec![[0.0; 4]; NUM_LENGTHS * STRIDE * STRIDE];
@@ -209,7 +210,8 @@ mod tests {
             let transfer = function.resolve([-1.0, 3.0]).unwrap();
             let (unit, longest) = (0.1, 2.0);
             let table = CellTable::new(&transfer, [-1.0, 3.0], unit, longest);
-            for (front, back) in [(0, 254), (254, 0), (10, 11), (200, 100), (120, 121), (90, 170), (215, 215)] {
+            for (front, back) in [(0, 254), (254, 0), (10, 11), (200, 100), (120, 121), (90, 170), (215, 215)]
+            {
                 for layer in 0..NUM_LENGTHS {
                     let length = longest * ((layer as f64 + 0.5) / 8.0).powi(2);
                     let values = [front, back].map(|i: usize| -1.0 + 4.0 * i as f64 / 254.0);
@@ -218,7 +220,10 @@ mod tests {
                     let alpha = 1.0 - (-f64::from(extinction) * length).exp2();
                     let found = [r, g, b].map(|c| f64::from(c) * alpha);
                     for (found, expected) in found.into_iter().chain([alpha]).zip(expected) {
-                        assert!((found - expected).abs() < 2e-3, "{name} {front} {back} {layer}: {found} {expected}");
+                        assert!(
+                            (found - expected).abs() < 2e-3,
+                            "{name} {front} {back} {layer}: {found} {expected}"
+                        );
                     }
                 }
             }

@@ -360,10 +360,8 @@ impl<W: Wide> Edges<W> {
             let ab = W::sub(row[0], W::mul(self.ab[1], from_a));
             let bc = W::sub(row[1], W::mul(self.bc[1], from_b));
             let ac = W::sub(row[2], W::mul(self.ac[1], from_a));
-            let outside = W::or(
-                W::or(W::xor(ab, self.sign), W::xor(bc, self.sign)),
-                W::xor(ac, self.other_sign),
-            );
+            let outside =
+                W::or(W::or(W::xor(ab, self.sign), W::xor(bc, self.sign)), W::xor(ac, self.other_sign));
             // The sign alone counts: the rest may be any bits, NaN among them.
             (W::shift_right_signed::<31>(outside), [ab, ac])
         }
@@ -426,10 +424,8 @@ unsafe fn advance<W: Wide, const K: usize>(
             let root = W::sqrt(W::mul(length, W::splat(look.lengths)));
             let layer = W::to_int(W::min(root, W::splat((NUM_LENGTHS - 1) as f32)));
             // Payloads begin with an index below 256, and there are as many layers as the minimum allows.
-            let pair = W::or(
-                W::shift_left::<8>(W::shift_right::<24>(last_payload)),
-                W::shift_right::<24>(payload),
-            );
+            let pair =
+                W::or(W::shift_left::<8>(W::shift_right::<24>(last_payload)), W::shift_right::<24>(payload));
             let entry = W::or(W::shift_left::<16>(layer), pair);
             let [r, g, b, extinction] = W::rows(look.table.as_ptr(), entry);
             let alpha = opacity::<W>(W::mul(length, extinction));
@@ -471,18 +467,26 @@ unsafe fn shift_net<W: Wide, const UNUSED: i32>(payload: W::V) -> W::V {
 #[inline(always)]
 unsafe fn opacity<W: Wide>(x: W::V) -> W::V {
     // Of `(1 - 2^-f) / f`, by the series of the exponential: powers of the logarithm of 2 over factorials.
-    const SERIES: [f32; 7] =
-        [0.693_147_2, -0.240_226_5, 0.055_504_11, -0.009_618_129, 0.001_333_355_8, -0.000_154_035_3, 0.000_015_252_7];
+    const SERIES: [f32; 7] = [
+        0.693_147_2,
+        -0.240_226_5,
+        0.055_504_11,
+        -0.009_618_129,
+        0.001_333_355_8,
+        -0.000_154_035_3,
+        0.000_015_252_7,
+    ];
     // SAFETY: the CPU has the instructions of `W`, by the callers.
     unsafe {
         let x = W::min(x, W::splat(126.0));
         let whole = W::to_int(x);
         let f = W::sub(x, W::to_float(whole));
-        let mut sum = W::splat(SERIES[6]);
-        for c in SERIES.iter().rev().skip(1) {
-            sum = W::add(W::mul(sum, f), W::splat(*c));
-        }
-        let of_fraction = W::mul(sum, f);
+        // Pairs of terms, so that few additions wait for each other.
+        let pair = |i: usize| W::add(W::splat(SERIES[i]), W::mul(f, W::splat(SERIES[i + 1])));
+        let square = W::mul(f, f);
+        let low = W::add(pair(0), W::mul(square, pair(2)));
+        let high = W::add(pair(4), W::mul(square, W::splat(SERIES[6])));
+        let of_fraction = W::mul(f, W::add(low, W::mul(W::mul(square, square), high)));
         let power = W::shift_left::<23>(W::sub_int(W::splat_int(127), whole));
         W::add(W::sub(W::splat(1.0), power), W::mul(power, of_fraction))
     }

@@ -44,7 +44,9 @@ pub(super) struct Bin {
 pub struct CellView {
     camera: Camera,
     size: [usize; 2],
-    /// Faces that are drawn, by depth.
+    /// Faces that are drawn, by number.
+    chosen: Vec<u32>,
+    /// The same by depth.
     order: Vec<u32>,
     /// Column, row, and depth (or, in a perspective, its inverse) of the mesh's points and then of the cuts; NaN
     /// behind the camera.
@@ -58,9 +60,21 @@ impl CellView {
     ///
     /// * `choice`: faces that are drawn; all where there is none
     pub fn new(mesh: &CellMesh, camera: &Camera, size: [usize; 2], choice: Option<&FaceChoice>) -> Self {
-        let order = sorted_faces(mesh, camera, choice);
-        let mut view =
-            Self { camera: *camera, size, order, points: Vec::new(), cuts: Vec::new(), bins: Vec::new() };
+        let chosen: Vec<u32> = match choice {
+            None => (0..mesh.faces.len() as u32).collect(),
+            Some(choice) => {
+                choice.faces.iter().copied().filter(|f| (*f as usize) < mesh.faces.len()).collect()
+            }
+        };
+        let mut view = Self {
+            camera: *camera,
+            size,
+            order: sorted(mesh, camera, &chosen),
+            chosen,
+            points: Vec::new(),
+            cuts: Vec::new(),
+            bins: Vec::new(),
+        };
         view.project(mesh);
         view
     }
@@ -74,8 +88,7 @@ impl CellView {
         let is_turned = self.camera.axes()[2] != camera.axes()[2];
         (self.camera, self.size) = (*camera, size);
         if is_turned {
-            let chosen: Vec<u32> = std::mem::take(&mut self.order);
-            self.order = sort(mesh, camera, chosen);
+            self.order = sorted(mesh, camera, &self.chosen);
         }
         self.project(mesh);
         true
@@ -99,7 +112,7 @@ impl CellView {
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
         let of_bin = |bin: &Bin| 4 * bin.starts.len() + 16 * bin.list.len();
-        4 * self.order.len() + 12 * self.points.len() + self.bins.iter().map(of_bin).sum::<usize>()
+        8 * self.order.len() + 12 * self.points.len() + self.bins.iter().map(of_bin).sum::<usize>()
     }
 
     pub(super) fn is_perspective(&self) -> bool {
@@ -136,7 +149,8 @@ impl CellView {
             };
             parts.par_extend(self.order.par_chunks(part_len).map(|part| part.iter().map(plain).collect()));
         } else {
-            parts.par_extend(self.order.par_chunks(part_len).map(|part| part.iter().flat_map(face).collect()));
+            parts
+                .par_extend(self.order.par_chunks(part_len).map(|part| part.iter().flat_map(face).collect()));
         }
         let this = &*self;
         self.bins = parts.into_par_iter().with_max_len(1).map(|faces| this.bin(faces)).collect();
@@ -190,18 +204,8 @@ fn tiles_in([columns, rows]: [[u16; 2]; 2], across: usize) -> impl Iterator<Item
     })
 }
 
-fn sorted_faces(mesh: &CellMesh, camera: &Camera, choice: Option<&FaceChoice>) -> Vec<u32> {
-    let chosen = match choice {
-        None => (0..mesh.faces.len() as u32).collect(),
-        Some(choice) => choice.faces.iter().copied().filter(|f| (*f as usize) < mesh.faces.len()).collect(),
-    };
-    sort(mesh, camera, chosen)
-}
-
 /// Faces by the depths of their centroids.
-fn sort(mesh: &CellMesh, camera: &Camera, mut faces: Vec<u32>) -> Vec<u32> {
-    // A view of the same direction has the same order, whatever came before.
-    faces.par_sort_unstable();
+fn sorted(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32> {
     let depths = depths_of(mesh, camera);
     let depth = |face: &u32| {
         let [a, b, c] = mesh.faces[*face as usize].points.map(|p| depths[p as usize]);

@@ -20,7 +20,9 @@ pub fn lattice(
     let mut points = Vec::new();
     for z in 0..=nz {
         for y in 0..=ny {
-            points.extend((0..=nx).map(|x| bend([x as f64 / nx as f64, y as f64 / ny as f64, z as f64 / nz as f64])));
+            points.extend(
+                (0..=nx).map(|x| bend([x as f64 / nx as f64, y as f64 / ny as f64, z as f64 / nz as f64])),
+            );
         }
     }
     let mut cells = Vec::new();
@@ -63,7 +65,13 @@ pub fn waves(num: [usize; 3], time: f64) -> Vec<f32> {
 }
 
 /// A scene around a mesh whose values lie in [0, 1].
-pub fn scene(mesh: &CellMesh, function: &str, size: [usize; 2], fov_y_deg: Option<f64>, lit: bool) -> CellScene {
+pub fn scene(
+    mesh: &CellMesh,
+    function: &str,
+    size: [usize; 2],
+    fov_y_deg: Option<f64>,
+    lit: bool,
+) -> CellScene {
     let [low, high] = mesh.bounds();
     let longest = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
     let function = TransferFunction::built_in(function, ColorMap::Turbo).expect("a built-in function");
