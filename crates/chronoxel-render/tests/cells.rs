@@ -154,11 +154,11 @@ fn a_linear_field_is_its_integral_along_each_ray() {
             let sample = [r * alpha, g * alpha, b * alpha, alpha];
             pixel.iter_mut().zip(sample).for_each(|(sum, s)| *sum += transmittance * s);
         }
-        for c in 0..4 {
+        for (c, expected) in pixel.into_iter().enumerate() {
             let [exact, found] = [&exact, &found].map(|image| f64::from(image.pixels[i][c]));
-            assert!((exact - pixel[c]).abs() < 1e-4, "{i} {c}: {exact} {}", pixel[c]);
+            assert!((exact - expected).abs() < 1e-4, "{i} {c}: {exact} {expected}");
             // Values are rounded to 255 numbers at every face.
-            assert!((found - pixel[c]).abs() < 6e-3, "{i} {c}: {found} {}", pixel[c]);
+            assert!((found - expected).abs() < 6e-3, "{i} {c}: {found} {expected}");
         }
     }
 }

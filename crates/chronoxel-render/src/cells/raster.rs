@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::gradient::unit_gradients;
 use super::lanes::{Plain, Wide};
 use super::mesh::{dot, sub};
+use super::table::NUM_LENGTHS;
 use super::tile::{Corner, Look, TILE_HEIGHT, TILE_WIDTH, Tile, TileCounts};
 use super::{CellMesh, CellTable, CellView, FaceChoice};
 use crate::RenderError;
@@ -139,42 +140,38 @@ impl CellRenderer {
     pub fn render(&mut self, scene: &CellScene, values: &[f32]) -> Result<(Image, CellStats), RenderError> {
         let start = Instant::now();
         scene.check(&self.mesh, values)?;
-        let mut stats = CellStats::default();
-        stats.view_changed = match &mut self.view {
-            Some(view) => view.look(&self.mesh, &scene.camera, scene.size),
-            none => {
-                let view = CellView::new(&self.mesh, &scene.camera, scene.size, self.choice.as_ref());
-                *none = Some(view);
-                true
-            }
-        };
+        let Self { mesh, options, choice, view, table, corners } = self;
+        let mut view_changed = view.is_none();
+        let view =
+            view.get_or_insert_with(|| CellView::new(mesh, &scene.camera, scene.size, choice.as_ref()));
+        view_changed |= view.look(mesh, &scene.camera, scene.size);
         let key = (scene.transfer.clone(), scene.value_range, scene.opacity_unit);
-        if self.table.as_ref().is_none_or(|(of, _)| *of != key) {
-            let longest = self.mesh.longest_edge;
-            let table = CellTable::new(&scene.transfer, scene.value_range, scene.opacity_unit, longest);
-            self.table = Some((key, table));
-            stats.table_changed = true;
-        }
-        if let (Some(view), Some((_, table))) = (&self.view, &self.table) {
-            place_corners(&mut self.corners, view, table, values);
-            let cosines = scene.lighting.map(|_| cosines(&self.mesh, view, values));
-            let light = scene.lighting.map(light_table);
-            let look = Look {
-                is_perspective: view.is_perspective(),
-                table: &table.entries,
-                lengths: ((super::table::NUM_LENGTHS * super::table::NUM_LENGTHS) as f64 / table.longest)
-                    as f32,
-                light: light.as_deref(),
-            };
-            let job = Job { view, corners: &self.corners, cosines: cosines.as_deref(), look };
-            let (image, counts) = draw(&job, self.options)?;
-            stats.num_faces = view.bins.iter().map(|bin| bin.num_faces).sum();
-            stats.num_fragments = counts.fragments;
-            stats.num_misordered = counts.misordered;
-            stats.render_ms = start.elapsed().as_secs_f64() * 1e3;
-            return Ok((image, stats));
-        }
-        Err(RenderError::invalid("view", "missing", "this is a bug"))
+        table.take_if(|(of, _)| *of != key);
+        let table_changed = table.is_none();
+        let (_, table) = table.get_or_insert_with(|| {
+            let longest = mesh.longest_edge;
+            (key, CellTable::new(&scene.transfer, scene.value_range, scene.opacity_unit, longest))
+        });
+        place_corners(corners, view, table, values);
+        let cosines = scene.lighting.map(|_| cosines(mesh, view, values));
+        let light = scene.lighting.map(light_table);
+        let look = Look {
+            is_perspective: view.is_perspective(),
+            table: &table.entries,
+            lengths: ((NUM_LENGTHS * NUM_LENGTHS) as f64 / table.longest) as f32,
+            light: light.as_deref(),
+        };
+        let job = Job { view, corners, cosines: cosines.as_deref(), look };
+        let (image, counts) = draw(&job, *options)?;
+        let stats = CellStats {
+            num_faces: view.bins.iter().map(|bin| bin.num_faces).sum(),
+            num_fragments: counts.fragments,
+            num_misordered: counts.misordered,
+            view_changed,
+            table_changed,
+            render_ms: start.elapsed().as_secs_f64() * 1e3,
+        };
+        Ok((image, stats))
     }
 }
 

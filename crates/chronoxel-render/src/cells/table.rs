@@ -174,14 +174,14 @@ impl Runs {
             let alpha = opacity_of(bin.extinction * per_bin);
             let [r, g, b] = bin.color.map(|c| c * alpha);
             let one = [r, g, b, alpha];
-            let is_start = i % num == 0;
+            let is_start = i.is_multiple_of(num);
             self.up_end[i] = one;
             self.up_start[i] = if is_start { one } else { over(self.up_start[i - 1], one) };
             self.down_start[i] = if is_start { one } else { over(one, self.down_start[i - 1]) };
         }
         for i in (0..bins.len()).rev() {
             let one = self.up_end[i];
-            let is_end = (i + 1) % num == 0 || i + 1 == bins.len();
+            let is_end = (i + 1).is_multiple_of(num) || i + 1 == bins.len();
             self.up_end[i] = if is_end { one } else { over(one, self.up_end[i + 1]) };
             self.down_end[i] = if is_end { one } else { over(self.down_end[i + 1], one) };
         }
@@ -190,7 +190,7 @@ impl Runs {
     /// The bins of a segment, with rising and with falling values.
     fn window(&self, first: usize, num: usize) -> [[f32; 4]; 2] {
         let last = first + num - 1;
-        if first % num == 0 {
+        if first.is_multiple_of(num) {
             return [self.up_end[first], self.down_start[last]];
         }
         [over(self.up_end[first], self.up_start[last]), over(self.down_start[last], self.down_end[first])]

@@ -468,7 +468,7 @@ unsafe fn shift_net<W: Wide, const UNUSED: i32>(payload: W::V) -> W::V {
 unsafe fn opacity<W: Wide>(x: W::V) -> W::V {
     // Of `(1 - 2^-f) / f`, by the series of the exponential: powers of the logarithm of 2 over factorials.
     const SERIES: [f32; 7] = [
-        0.693_147_2,
+        std::f32::consts::LN_2,
         -0.240_226_5,
         0.055_504_11,
         -0.009_618_129,

@@ -185,10 +185,13 @@ impl CellView {
         let mut range = [[0; 2]; 2];
         for axis in 0..2 {
             let [a, b, c] = corners.map(|p| p[axis]);
-            // Centres lie half a pixel in; NaN fails both tests.
+            if (a + b + c).is_nan() {
+                return None;
+            }
+            // Centres lie half a pixel in.
             let first = (a.min(b).min(c) - 0.5).ceil().max(0.0);
             let last = (a.max(b).max(c) - 0.5).floor().min(self.size[axis] as f32 - 1.0);
-            if !(first <= last) || (a + b + c).is_nan() {
+            if first > last {
                 return None;
             }
             range[axis] = [first, last].map(|pixel| (pixel as usize / tile[axis]) as u16);
