@@ -34,7 +34,6 @@ pub(super) unsafe trait Wide: Copy {
     unsafe fn sub(a: Self::V, b: Self::V) -> Self::V;
     unsafe fn mul(a: Self::V, b: Self::V) -> Self::V;
     unsafe fn div(a: Self::V, b: Self::V) -> Self::V;
-    unsafe fn sqrt(a: Self::V) -> Self::V;
     /// `a < b ? a : b`: `b` where either is NaN.
     unsafe fn min(a: Self::V, b: Self::V) -> Self::V;
     /// `a > b ? a : b`: `b` where either is NaN.
@@ -109,9 +108,6 @@ unsafe impl Wide for Plain {
     }
     unsafe fn div(a: Eight, b: Eight) -> Eight {
         float(a, b, |a, b| a / b)
-    }
-    unsafe fn sqrt(a: Eight) -> Eight {
-        float(a, a, |a, _| a.sqrt())
     }
     unsafe fn min(a: Eight, b: Eight) -> Eight {
         float(a, b, |a, b| if a < b { a } else { b })
@@ -209,7 +205,6 @@ mod avx2 {
             sub(a, b) = _mm256_sub_ps(a, b);
             mul(a, b) = _mm256_mul_ps(a, b);
             div(a, b) = _mm256_div_ps(a, b);
-            sqrt(a) = _mm256_sqrt_ps(a);
             min(a, b) = _mm256_min_ps(a, b);
             max(a, b) = _mm256_max_ps(a, b);
             less(a, b) = _mm256_cmp_ps::<_CMP_LT_OQ>(a, b);

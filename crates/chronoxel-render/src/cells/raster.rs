@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use super::gradient::unit_gradients;
 use super::lanes::{Plain, Wide};
 use super::mesh::{dot, sub};
-use super::table::NUM_LENGTHS;
 use super::tile::{Corner, Look, TILE_HEIGHT, TILE_WIDTH, Tile, TileCounts};
 use super::{CellMesh, CellTable, CellView, FaceChoice};
 use crate::RenderError;
@@ -158,7 +157,7 @@ impl CellRenderer {
         let look = Look {
             is_perspective: view.is_perspective(),
             table: &table.entries,
-            lengths: ((NUM_LENGTHS * NUM_LENGTHS) as f64 / table.longest) as f32,
+            per_longest: (1.0 / table.longest) as f32,
             light: light.as_deref(),
         };
         let job = Job { view, corners, cosines: cosines.as_deref(), look };

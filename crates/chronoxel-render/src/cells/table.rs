@@ -60,7 +60,7 @@ impl CellTable {
         let mut entries = vec![[0.0; 4]; NUM_LENGTHS * STRIDE * STRIDE];
         let layers = entries.par_chunks_exact_mut(STRIDE * STRIDE).enumerate();
         layers.for_each(|(layer, entries)| {
-            let length = longest * ((layer as f64 + 0.5) / NUM_LENGTHS as f64).powi(2);
+            let length = longest * length_of_layer(layer);
             fill_layer(entries, &bins, &nodes, length as f32);
         });
         Self { entries, first_value: low, nodes_per_value: LAST_NODE as f64 / width, longest }
@@ -70,6 +70,11 @@ impl CellTable {
     pub fn num_bytes(&self) -> usize {
         size_of_val(self.entries.as_slice())
     }
+}
+
+/// The length that a layer stands for, in the longest one: the middle of those of one power of 2.
+fn length_of_layer(layer: usize) -> f64 {
+    0.75 * 0.5f64.powi((NUM_LENGTHS - 1 - layer) as i32)
 }
 
 fn matter([r, g, b, opacity]: [f64; 4], unit: f64) -> Matter {
@@ -213,7 +218,7 @@ mod tests {
             for (front, back) in [(0, 254), (254, 0), (10, 11), (200, 100), (120, 121), (90, 170), (215, 215)]
             {
                 for layer in 0..NUM_LENGTHS {
-                    let length = longest * ((layer as f64 + 0.5) / 8.0).powi(2);
+                    let length = longest * length_of_layer(layer);
                     let values = [front, back].map(|i: usize| -1.0 + 4.0 * i as f64 / 254.0);
                     let expected = integrate_segment(&transfer, values, length, unit, (1.0, 0.0));
                     let [r, g, b, extinction] = table.entries[(layer * STRIDE + front) * STRIDE + back];
