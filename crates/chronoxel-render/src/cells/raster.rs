@@ -157,7 +157,7 @@ impl CellRenderer {
         let look = Look {
             is_perspective: view.is_perspective(),
             table: &table.entries,
-            per_longest: (1.0 / table.longest) as f32,
+            per_half_longest: (2.0 / table.longest) as f32,
             light: light.as_deref(),
         };
         let job = Job { view, corners, cosines: cosines.as_deref(), look };

@@ -20,7 +20,7 @@ pub(super) const NO_VALUE: u32 = 255;
 /// Rows, and columns, of a layer.
 const STRIDE: usize = 256;
 /// Layers: lengths for which colours are known.
-pub(super) const NUM_LENGTHS: usize = 8;
+pub(super) const NUM_LENGTHS: usize = 4;
 /// Places in a bin at which the transfer function is looked at, between two of its corners.
 const LOOKS: usize = 4;
 
@@ -72,9 +72,9 @@ impl CellTable {
     }
 }
 
-/// The length that a layer stands for, in the longest one: the middle of those of one power of 2.
+/// The length that a layer stands for, in the longest one: the middle of those of one power of 4.
 fn length_of_layer(layer: usize) -> f64 {
-    0.75 * 0.5f64.powi((NUM_LENGTHS - 1 - layer) as i32)
+    0.5 * 0.25f64.powi((NUM_LENGTHS - 1 - layer) as i32)
 }
 
 fn matter([r, g, b, opacity]: [f64; 4], unit: f64) -> Matter {

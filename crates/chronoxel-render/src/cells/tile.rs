@@ -40,15 +40,15 @@ pub(super) struct Look<'a> {
     pub is_perspective: bool,
     /// See [`super::CellTable`].
     pub table: &'a [[f32; 4]],
-    /// One over the longest segment.
-    pub per_longest: f32,
+    /// Two over the longest segment.
+    pub per_half_longest: f32,
     /// For each sum of two cosines of 8 bits: the factor of the colour, and the highlight.
     pub light: Option<&'a [[f32; 4]]>,
 }
 
-/// The lengths, in the longest one, between which layers are told apart.
-const LEAST_PART: f32 = 1.0 / (1 << NUM_LENGTHS) as f32;
-const MOST_PART: f32 = 1.0 - f32::EPSILON;
+/// The lengths, in half the longest one, between which layers are told apart.
+const LEAST_PART: f32 = 2.0 / (1 << (2 * NUM_LENGTHS)) as f32;
+const MOST_PART: f32 = 2.0 - 2.0 * f32::EPSILON;
 
 /// Eight pixels.
 #[derive(Clone)]
@@ -425,11 +425,11 @@ unsafe fn advance<W: Wide, const K: usize>(
             let way = W::mul(W::sub(depth, last_depth), W::load(&block.per_depth));
             // Where there is no segment the depth may be infinite.
             let length = W::select(is_segment, way, zero);
-            // A layer for each power of 2 below the longest, found by the exponent.
-            let part = W::mul(length, W::splat(look.per_longest));
+            // A layer for each power of 4 below the longest, found by the exponent.
+            let part = W::mul(length, W::splat(look.per_half_longest));
             let part = W::min(W::max(part, W::splat(LEAST_PART)), W::splat(MOST_PART));
-            let exponent = W::shift_right::<23>(part);
-            let layer = W::sub_int(exponent, W::splat_int((LEAST_PART.to_bits() >> 23) as i32));
+            let exponent = W::shift_right::<24>(part);
+            let layer = W::sub_int(exponent, W::splat_int((LEAST_PART.to_bits() >> 24) as i32));
             // Payloads begin with an index below 256, and there are as many layers as the clamped exponents.
             let pair =
                 W::or(W::shift_left::<8>(W::shift_right::<24>(last_payload)), W::shift_right::<24>(payload));
