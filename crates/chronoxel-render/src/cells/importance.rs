@@ -37,11 +37,36 @@ impl FaceChoice {
         Self { faces }
     }
 
+    /// Faces drawn at random, each with a chance that grows with its importance (Efraimidis and Spirakis 2006), and the boundary: as
+    /// many as [`Self::new`] takes.
+    ///
+    /// Where the most important faces lie side by side, this leaves some for the rest.
+    ///
+    /// * `importance`: one per face of the mesh, at least 0
+    /// * `seed`: of the numbers drawn
+    ///
+    /// # Panics
+    /// As [`Self::new`].
+    pub fn sampled(mesh: &CellMesh, importance: &[f32], fraction: f64, seed: u64) -> Self {
+        let mean = importance.iter().map(|&i| f64::from(i)).sum::<f64>() / importance.len().max(1) as f64;
+        let floor = (LEAST_CHANCE * mean).max(1e-30);
+        let key = |(number, &weight): (u64, &f32)| {
+            // A number in (0, 1); of an exponential distribution, the faster the rarer.
+            let uniform = ((scrambled(number ^ seed) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+            (f64::from(weight).max(floor) / -uniform.ln()) as f32
+        };
+        let keys: Vec<f32> = (0u64..).zip(importance).map(key).collect();
+        Self::new(mesh, &keys, fraction)
+    }
+
     /// Faces that are drawn.
     pub fn num_faces(&self) -> usize {
         self.faces.len()
     }
 }
+
+/// Chances of [`FaceChoice::sampled`] are at least this much of the mean, so that still regions keep some faces.
+const LEAST_CHANCE: f64 = 0.25;
 
 /// How much the values at the points of a mesh vary over time: sums over the steps that were added.
 #[derive(Debug, Clone)]
