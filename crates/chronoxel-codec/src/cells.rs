@@ -186,19 +186,28 @@ pub fn decode_points(payload: &Payload, step_in_span: u32, values: &mut [f32]) -
     }
     payload.stages.iter().try_for_each(|stage| stage.validate_samples(values.len()))?;
     let rows = rows_at(payload, step_in_span)?;
-    let look_ups: Vec<Vec<f64>> =
-        rows.iter().zip(&payload.stages).map(|(row, stage)| values_of(row, stage)).collect();
-    let parts = values.par_chunks_mut(PART_POINTS).enumerate();
-    parts.for_each(|(part, values)| {
+    // What each index means; an affine stage needs no list.
+    let listed = |row: &Meaning<'_>| match row {
+        Meaning::Row { row: entries, .. } => entries.iter().map(|&entry| row.value(entry)).collect(),
+        Meaning::Affine { .. } => Vec::new(),
+    };
+    let tables: Vec<Vec<f64>> = rows.iter().map(listed).collect();
+    values.par_chunks_mut(PART_POINTS).enumerate().for_each(|(part, values)| {
+        // Negative zero plus any value is that value: the sum begins with that of the first stage.
+        let mut sums = vec![-0.0; values.len()];
         let first = part * PART_POINTS;
-        let mut sums = vec![0.0; values.len()];
-        for (number, (stage, table)) in payload.stages.iter().zip(&look_ups).enumerate() {
-            let add = |(sum, index): (&mut f64, usize)| {
-                *sum = if number == 0 { table[index] } else { *sum + table[index] };
-            };
-            match &stage.indices {
-                Indices::U8(v) => sums.iter_mut().zip(v[first..].iter().map(|&i| i.into())).for_each(add),
-                Indices::U16(v) => sums.iter_mut().zip(v[first..].iter().map(|&i| i.into())).for_each(add),
+        for ((row, stage), table) in rows.iter().zip(&payload.stages).zip(&tables) {
+            match (row, &stage.indices) {
+                (Meaning::Affine { .. }, Indices::U8(v)) => {
+                    add(&mut sums, &v[first..], |i| row.value(i.into()))
+                }
+                (Meaning::Affine { .. }, Indices::U16(v)) => add(&mut sums, &v[first..], |i| row.value(i)),
+                (Meaning::Row { .. }, Indices::U8(v)) => {
+                    add(&mut sums, &v[first..], |i| table[usize::from(i)])
+                }
+                (Meaning::Row { .. }, Indices::U16(v)) => {
+                    add(&mut sums, &v[first..], |i| table[usize::from(i)])
+                }
             }
         }
         values.iter_mut().zip(&sums).for_each(|(value, sum)| *value = *sum as f32);
@@ -206,12 +215,8 @@ pub fn decode_points(payload: &Payload, step_in_span: u32, values: &mut [f32]) -
     Ok(())
 }
 
-/// What each index of a validated stage means.
-fn values_of(row: &Meaning<'_>, stage: &Stage) -> Vec<f64> {
-    match row {
-        Meaning::Row { row: entries, .. } => entries.iter().map(|&entry| row.value(entry)).collect(),
-        Meaning::Affine { .. } => (0..=stage.indices.largest()).map(|index| row.value(index)).collect(),
-    }
+fn add<I: Copy>(sums: &mut [f64], indices: &[I], value: impl Fn(I) -> f64) {
+    sums.iter_mut().zip(indices).for_each(|(sum, &i)| *sum += value(i));
 }
 
 /// How much a span differs from what it was made from.

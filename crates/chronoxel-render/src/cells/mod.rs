@@ -22,7 +22,7 @@
 //! buffers; a step sends one number per point (or nothing, where a pass decodes them: one mean and two indices per point,
 //! tables of a few hundred entries). A workgroup takes a tile and goes through its list in batches: each thread sets up one
 //! face of the batch into workgroup memory, then each thread takes its pixel through the batch. The buffer of `k`
-//! fragments is an array of `k` registers pairs, depth and payload, of constant indices, by the same network of
+//! fragments is an array of `k` pairs of registers, depth and payload, of constant indices, by the same network of
 //! compare and swap as here; no atomics, no feedback from the picture. The sort is a radix sort of as many passes as here, with
 //! histograms per workgroup; binning is the same counting twice, with a prefix sum in between.
 
