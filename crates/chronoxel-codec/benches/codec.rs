@@ -3,8 +3,8 @@
 use std::hint::black_box;
 
 use chronoxel_codec::{
-    Indices, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident, decoded_range, product_palette,
-    vector_palette,
+    CellCodecOptions, Indices, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident, decoded_range,
+    encode_cells, product_palette, vector_palette,
     vq::{Entries, InstructionSet, Vectors, nearest_with},
 };
 use chronoxel_core::BrickLayout;
@@ -110,10 +110,32 @@ fn decode(criterion: &mut Criterion) {
     }
 }
 
+/// 64 steps at the points of a mesh of 40,960, which fade to zero.
+fn cells(criterion: &mut Criterion) {
+    let value = |p: usize, t: usize| (0.5 + 0.5 * (p as f32 * 0.37).sin()) * (1.0 - t as f32 / 63.0);
+    let steps: Vec<Vec<f32>> = (0..64).map(|t| (0..40_960).map(|p| value(p, t)).collect()).collect();
+    let steps: Vec<&[f32]> = steps.iter().map(Vec::as_slice).collect();
+    let mut group = criterion.benchmark_group("cells");
+    group.sample_size(10);
+    group.throughput(Throughput::Elements(64 * 40_960));
+    let options = CellCodecOptions::default();
+    group.bench_function("encode 64 steps, 256 entries", |b| {
+        b.iter(|| encode_cells(black_box(&steps), &options));
+    });
+    let spans = encode_cells(&steps, &options).expect("valid steps");
+    let mut values = vec![0.0; 40_960];
+    group.throughput(Throughput::Elements(40_960));
+    group.bench_function("decode a step", |b| {
+        b.iter(|| spans[0].decode(black_box(17), &mut values));
+    });
+    group.finish();
+}
+
 fn main() {
     let mut criterion = Criterion::default().configure_from_args();
     encode(&mut criterion);
     encode_vectors(&mut criterion);
     decode(&mut criterion);
+    cells(&mut criterion);
     criterion.final_summary();
 }
