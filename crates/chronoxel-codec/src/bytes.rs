@@ -17,17 +17,7 @@ use crate::{CodecError, Indices, Stage, StageClass, Table, TableClass};
 pub fn stage_to_bytes(stage: &Stage, layout: &BrickLayout) -> Vec<u8> {
     assert_eq!(stage.indices.len(), layout.num_full(), "one index per sample");
     let mut bytes = Vec::with_capacity(stage.class().num_bytes(layout));
-    match &stage.table {
-        Table::Affine { offset, scale } => {
-            bytes.extend_from_slice(&offset.to_le_bytes());
-            bytes.extend_from_slice(&scale.to_le_bytes());
-        }
-        Table::Listed { offset, scale, entries, .. } => {
-            bytes.extend_from_slice(&offset.to_le_bytes());
-            bytes.extend_from_slice(&scale.to_le_bytes());
-            entries.iter().for_each(|entry| bytes.extend_from_slice(&entry.to_le_bytes()));
-        }
-    }
+    table_to_bytes(stage, &mut bytes);
     for part in [Part::Core, Part::Apron] {
         match &stage.indices {
             Indices::U8(v) => {
@@ -45,6 +35,75 @@ pub fn stage_to_bytes(stage: &Stage, layout: &BrickLayout) -> Vec<u8> {
     bytes
 }
 
+/// The bytes of a stage with one index per point of a mesh: the table, then all indices, as those of a core.
+///
+/// Their number is that of [`StageClass::num_point_bytes`].
+pub fn point_stage_to_bytes(stage: &Stage) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(stage.class().num_point_bytes(stage.indices.len()));
+    table_to_bytes(stage, &mut bytes);
+    match &stage.indices {
+        Indices::U8(v) => bytes.extend_from_slice(v),
+        Indices::U16(v) => {
+            [8, 0].iter().for_each(|shift| bytes.extend(v.iter().map(|&i| (i >> shift) as u8)))
+        }
+    }
+    bytes
+}
+
+/// A stage of one index per point from its bytes.
+///
+/// # Errors
+/// As [`stage_from_bytes`].
+pub fn point_stage_from_bytes(
+    class: &StageClass,
+    num_points: usize,
+    bytes: &[u8],
+) -> Result<Stage, CodecError> {
+    if bytes.len() != class.num_point_bytes(num_points) {
+        let problem = format!("a stage of this class has {}", class.num_point_bytes(num_points));
+        return Err(CodecError::corrupt("number of bytes", bytes.len(), problem));
+    }
+    let (table, indices) = bytes.split_at(class.num_table_bytes());
+    let indices = match class.index_bits {
+        8 => Indices::U8(indices.to_vec()),
+        _ => {
+            let (high, low) = indices.split_at(num_points);
+            let join = |(&high, &low): (&u8, &u8)| u16::from(high) << 8 | u16::from(low);
+            Indices::U16(high.iter().zip(low).map(join).collect())
+        }
+    };
+    let stage = Stage { indices, table: table_from_bytes(class, table), shift: class.shift };
+    stage.validate_samples(num_points)?;
+    Ok(stage)
+}
+
+fn table_to_bytes(stage: &Stage, bytes: &mut Vec<u8>) {
+    match &stage.table {
+        Table::Affine { offset, scale } => {
+            bytes.extend_from_slice(&offset.to_le_bytes());
+            bytes.extend_from_slice(&scale.to_le_bytes());
+        }
+        Table::Listed { offset, scale, entries, .. } => {
+            bytes.extend_from_slice(&offset.to_le_bytes());
+            bytes.extend_from_slice(&scale.to_le_bytes());
+            entries.iter().for_each(|entry| bytes.extend_from_slice(&entry.to_le_bytes()));
+        }
+    }
+}
+
+/// * `table`: as many bytes as the class has for it
+fn table_from_bytes(class: &StageClass, table: &[u8]) -> Table {
+    let number = |at: usize| f64::from_le_bytes(std::array::from_fn(|i| table[at + i]));
+    let (offset, scale) = (number(0), number(8));
+    match class.table {
+        TableClass::Affine => Table::Affine { offset, scale },
+        TableClass::Listed { rows, .. } => {
+            let entries = table[16..].chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+            Table::Listed { offset, scale, num_rows: rows as usize, entries }
+        }
+    }
+}
+
 /// A stage from its bytes.
 ///
 /// # Errors
@@ -56,15 +115,7 @@ pub fn stage_from_bytes(class: &StageClass, layout: &BrickLayout, bytes: &[u8]) 
         return Err(CodecError::corrupt("number of bytes", bytes.len(), problem));
     }
     let (table, indices) = bytes.split_at(class.num_table_bytes());
-    let number = |at: usize| f64::from_le_bytes(std::array::from_fn(|i| table[at + i]));
-    let (offset, scale) = (number(0), number(8));
-    let table = match class.table {
-        TableClass::Affine => Table::Affine { offset, scale },
-        TableClass::Listed { rows, .. } => {
-            let entries = table[16..].chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
-            Table::Listed { offset, scale, num_rows: rows as usize, entries }
-        }
-    };
+    let table = table_from_bytes(class, table);
     let indices = match class.index_bits {
         8 => Indices::U8(u8_indices(layout, indices)),
         _ => Indices::U16(u16_indices(layout, indices)),

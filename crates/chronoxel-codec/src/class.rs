@@ -89,6 +89,11 @@ impl StageClass {
         self.num_table_bytes() + self.num_index_bytes() * layout.num_full()
     }
 
+    /// Bytes of a stage of one index per point of a mesh: table, then indices.
+    pub const fn num_point_bytes(&self, num_points: usize) -> usize {
+        self.num_table_bytes() + self.num_index_bytes() * num_points
+    }
+
     /// Whether spans of window length `window` may use the class: a listed table has one row for
     /// every `2^shift` steps of the window, no more and no fewer; an affine one serves any length.
     pub const fn fits_window(&self, window: u32) -> bool {

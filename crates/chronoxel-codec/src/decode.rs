@@ -16,8 +16,20 @@ pub fn decode_f64(
     layout: &BrickLayout,
     step_in_span: u32,
 ) -> Result<Vec<f64>, CodecError> {
-    validate(payload, layout)?;
-    let mut samples = vec![0.0; layout.num_full()];
+    decode_samples(payload, layout.num_full(), step_in_span)
+}
+
+/// [`decode_f64`] of a payload of any number of samples, as the points of a mesh are.
+///
+/// # Errors
+/// As [`decode_f64`].
+pub fn decode_samples(
+    payload: &Payload,
+    num_samples: usize,
+    step_in_span: u32,
+) -> Result<Vec<f64>, CodecError> {
+    validate_samples(payload, num_samples)?;
+    let mut samples = vec![0.0; num_samples];
     for (at, stage) in payload.stages.iter().enumerate() {
         let row = Entries::of(stage, step_in_span)?;
         let first = at == 0;
@@ -121,10 +133,14 @@ pub fn decoded_range(
 
 /// Checks every stage, and that there are some.
 fn validate(payload: &Payload, layout: &BrickLayout) -> Result<(), CodecError> {
+    validate_samples(payload, layout.num_full())
+}
+
+fn validate_samples(payload: &Payload, num_samples: usize) -> Result<(), CodecError> {
     if payload.stages.is_empty() {
         return Err(CodecError::corrupt("number of stages", 0, "a payload has at least one"));
     }
-    payload.stages.iter().try_for_each(|stage| stage.validate(layout))
+    payload.stages.iter().try_for_each(|stage| stage.validate_samples(num_samples))
 }
 
 /// The steps below `num_steps` at which a stage may have another row than at the step before.
@@ -175,7 +191,7 @@ pub(crate) enum Entries<'a> {
 }
 
 /// What the indices of each stage of a validated payload mean at a step.
-fn rows_at(payload: &Payload, step_in_span: u32) -> Result<Vec<Entries<'_>>, CodecError> {
+pub(crate) fn rows_at(payload: &Payload, step_in_span: u32) -> Result<Vec<Entries<'_>>, CodecError> {
     payload.stages.iter().map(|stage| Entries::of(stage, step_in_span)).collect()
 }
 

@@ -6,6 +6,7 @@
 pub mod allocation;
 pub mod bounded;
 pub mod bytes;
+pub mod cells;
 pub mod class;
 pub mod dct;
 pub mod decode;
@@ -20,10 +21,14 @@ pub mod vq;
 pub mod window;
 
 pub use allocation::{allocate_bits, expected_distortion};
-pub use bytes::{stage_from_bytes, stage_to_bytes};
+pub use bytes::{point_stage_from_bytes, point_stage_to_bytes, stage_from_bytes, stage_to_bytes};
+pub use cells::{
+    BLOCK_STEPS, CellCodecOptions, CellSpan, SpanErrors, decode_points, encode_cells, paper_ratio,
+    span_errors,
+};
 pub use class::{PayloadClass, StageClass, TableClass};
 pub use dct::Dct;
-pub use decode::{decode_f64, decode_resident, decoded_range};
+pub use decode::{decode_f64, decode_resident, decode_samples, decoded_range};
 pub use error::CodecError;
 pub use lloyd_max::LloydMax;
 pub use palette::{ProductQuantizer, product_palette};

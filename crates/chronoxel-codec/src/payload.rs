@@ -130,8 +130,16 @@ impl Stage {
     /// # Errors
     /// [`CodecError::Corrupt`] naming what is wrong.
     pub fn validate(&self, layout: &BrickLayout) -> Result<(), CodecError> {
-        if self.indices.len() != layout.num_full() {
-            let problem = format!("a brick has {} samples", layout.num_full());
+        self.validate_samples(layout.num_full())
+    }
+
+    /// [`Self::validate`] of a stage of any number of samples.
+    ///
+    /// # Errors
+    /// As [`Self::validate`].
+    pub fn validate_samples(&self, num_samples: usize) -> Result<(), CodecError> {
+        if self.indices.len() != num_samples {
+            let problem = format!("there are {num_samples} samples");
             return Err(CodecError::corrupt("number of indices", self.indices.len(), problem));
         }
         let (offset, scale, largest) = match &self.table {

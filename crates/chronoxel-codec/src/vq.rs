@@ -5,7 +5,7 @@
 //! looks at a few thousand vectors; the last rounds look at all.
 
 mod nearest;
-mod split;
+pub(crate) mod split;
 
 use std::collections::HashSet;
 

@@ -1,8 +1,9 @@
 //! Renderers: from bricks, a transfer function and a camera to a picture.
 //!
 //! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast, and `gpu` (a feature, on by
-//! default) makes it on the GPU. None knows of files or stores.
+//! default) makes it on the GPU. [`cells`] draws tetrahedra as they are. None knows of files or stores.
 
+pub mod cells;
 pub mod cpu;
 pub mod error;
 #[cfg(feature = "gpu")]
@@ -12,6 +13,10 @@ pub mod reference;
 pub mod scene;
 pub mod slices;
 
+pub use cells::{
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, Variation, render_cells_reference,
+    static_importance,
+};
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
 #[cfg(feature = "gpu")]
