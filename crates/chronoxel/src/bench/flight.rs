@@ -49,7 +49,7 @@ impl Flight {
             camera: path.camera(0.0)?,
             transfer: session.resolve(&TransferFunction::built_in("ramp", ColorMap::Viridis)?)?,
             size: picture,
-            step_voxels: 0.5,
+            step_voxels: 1.0,
             lighting: None,
             opacity_unit: session.store().header().opacity_unit(),
             level: 0,
