@@ -207,7 +207,7 @@ fn surface(store: &Path) -> Image {
     let points = vec![point(0.0, red), point(LEAST - 0.05, red), point(LEAST, dark), point(7.0, bright)];
     let size = [64, 64];
     let view = View {
-        camera: Camera::orbit(bounds, 35.0, 25.0, 1.3, Some(30.0), 1.0).unwrap(),
+        camera: Camera::orbit(bounds, 35.0, 25.0, 1.15, Some(30.0), 1.0).unwrap(),
         transfer: session.resolve(&TransferFunction::new(points, TransferDomain::Data).unwrap()).unwrap(),
         size,
         step_voxels: 0.5,

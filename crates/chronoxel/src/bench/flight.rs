@@ -146,7 +146,7 @@ impl Flight {
             ),
             x_label: "frame of the flight".to_owned(),
             panels: vec![
-                panel("frame rate (1/s)", vec![line("", &self.fps)], Some((TARGET_FPS, "target")), false),
+                panel("frame rate (1/s)", vec![line("", &self.fps)], Some((TARGET_FPS, "target")), true),
                 panel("nodes drawn (number)", vec![line("", &self.num_nodes)], None, false),
                 panel(
                     "voxel edge (pixels)",

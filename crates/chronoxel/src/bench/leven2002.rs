@@ -294,6 +294,9 @@ fn flight_section() -> Section {
                 "from afar to where the shock meets the fin, along the fin and away, on the CPU, unlit, at a target of {TARGET_FPS} frames per second; \
                  frames that are ready early are not held back; the mean frame rate is frames over time"
             ),
+            "pixels per voxel of a node where it is nearest: of one around the eye, as large as a voxel that touches it; leaves of the tree, \
+             which have nothing finer, count"
+                .to_owned(),
             format!(
                 "the paper shows graphs: 10 frames per second on a GeForce3 in 640x480, well above that for some periods, during which the \
                  largest error is usually below {FINE_ENOUGH} pixel per voxel; --out has the plot of this flight"
