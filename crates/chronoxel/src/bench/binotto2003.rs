@@ -90,7 +90,12 @@ pub fn run(
             compression.rows.push(Row { label, paper, here: found[index].row(&stored) });
         }
     }
-    Ok(BenchReport { name: "binotto2003", machine: machine(), sections: vec![sparseness, compression] })
+    Ok(BenchReport {
+        name: "binotto2003",
+        machine: machine(),
+        sections: vec![sparseness, compression],
+        plots: Vec::new(),
+    })
 }
 
 fn paper_row(index: usize, (refinement_cells, ratio): (u64, f64)) -> Map<String, Value> {

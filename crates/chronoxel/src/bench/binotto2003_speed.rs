@@ -69,7 +69,7 @@ pub fn run(
         sections.push(section_of(input.name(), is_papers, &store, memory_bytes, &mut on_part)?);
         place.remove(&store)?;
     }
-    Ok(BenchReport { name: "binotto2003-speed", machine: machine(), sections })
+    Ok(BenchReport { name: "binotto2003-speed", machine: machine(), sections, plots: Vec::new() })
 }
 
 fn section_of(

@@ -108,7 +108,7 @@ pub fn run(
         sections.extend(sections_of(&mut input, PictureSizes::of(size), place, memory_bytes, &mut on_part)?);
     }
     sections.extend(paper_sections());
-    Ok(BenchReport { name: "ellsworth2000", machine: machine(), sections })
+    Ok(BenchReport { name: "ellsworth2000", machine: machine(), sections, plots: Vec::new() })
 }
 
 /// The tables of a source.

@@ -95,7 +95,7 @@ pub fn run(
         sections.push(bench.section(&mut input)?);
         place.remove(&store)?;
     }
-    Ok(BenchReport { name: "gpu-playback", machine: machine(), sections })
+    Ok(BenchReport { name: "gpu-playback", machine: machine(), sections, plots: Vec::new() })
 }
 
 /// One store, measured.

@@ -131,7 +131,7 @@ pub fn run(
         input.record(place, &mut || on_part(1))?;
         sections.extend(sections_of(&mut input, place, memory_bytes, &mut on_part)?);
     }
-    Ok(BenchReport { name: "lum2001", machine: machine(), sections })
+    Ok(BenchReport { name: "lum2001", machine: machine(), sections, plots: Vec::new() })
 }
 
 /// Parts of the work on a source, for progress: steps recorded, encoded and measured, frames.

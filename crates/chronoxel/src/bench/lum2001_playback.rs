@@ -70,7 +70,7 @@ pub fn run(
     for mut input in inputs {
         sections.push(section_of(&mut input, place, memory_bytes, &mut on_step)?);
     }
-    Ok(BenchReport { name: "lum2001-playback", machine: machine(), sections })
+    Ok(BenchReport { name: "lum2001-playback", machine: machine(), sections, plots: Vec::new() })
 }
 
 fn section_of(

@@ -6,11 +6,13 @@
 pub mod binotto2003;
 pub mod binotto2003_speed;
 pub mod ellsworth2000;
+mod flight;
 pub mod gpu_playback;
 mod input;
 pub mod leven2002;
 pub mod lum2001;
 pub mod lum2001_playback;
+mod plot;
 mod ripples;
 mod stepping;
 mod whole_texture;
@@ -20,6 +22,7 @@ use serde::{Serialize, Serializer, ser::SerializeStruct};
 use serde_json::{Map, Value};
 
 pub use input::Input;
+pub use plot::{Line, Panel, Plot};
 pub use stepping::Stepping;
 pub use workplace::Workplace;
 
@@ -32,6 +35,8 @@ pub struct BenchReport {
     pub machine: String,
     /// The tables.
     pub sections: Vec<Section>,
+    /// What is easier seen than read.
+    pub plots: Vec<Plot>,
 }
 
 /// Rows that have the same columns.
@@ -215,7 +220,12 @@ mod tests {
             row("4x", json!({"mse": 0.000304}), json!({})),
         ];
         let section = Section { title: "Table 6".to_owned(), columns, rows, notes: Vec::new() };
-        BenchReport { name: "lum2001", machine: "abacus".to_owned(), sections: vec![section] }
+        BenchReport {
+            name: "lum2001",
+            machine: "abacus".to_owned(),
+            sections: vec![section],
+            plots: Vec::new(),
+        }
     }
 
     #[test]

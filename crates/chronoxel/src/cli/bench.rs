@@ -44,7 +44,8 @@ Benches:
                transfer function and size of brick
   gpu-playback playback on a GPU: frame rates, what a step costs and what is uploaded, beside a plain ray caster over one whole texture;
                128 and 256 samples along an edge, 512 and 1024 in full, or any data in their place
-  leven2002    octrees over meshes: depth, nodes and bytes, and how they fall with the threshold on the field")]
+  leven2002    octrees over meshes: depth, nodes and bytes, how they fall with the threshold on the field, and a flight at 10 frames per
+               second, also as a plot (figure-15.svg in --out)")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -55,7 +56,7 @@ pub struct BenchArgs {
     /// How large the simulations are: done within a minute or two, or near the paper's
     #[arg(long, value_name = "SIZE", default_value = "small")]
     size: BenchSize,
-    /// Folder to work in, and to write the report to, as text and as JSON [default: a temporary one, no files]
+    /// Folder to work in, and to write the report to, as text and as JSON, and plots [default: a temporary one, no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -167,6 +168,10 @@ fn write_report(folder: &Path, report: &BenchReport) -> anyhow::Result<()> {
     for (extension, text) in files {
         let path = folder.join(report.name).with_extension(extension);
         fs::write(&path, text + "\n").with_context(|| format!("{}: cannot write", path.display()))?;
+    }
+    for plot in &report.plots {
+        let path = folder.join(&plot.file).with_extension("svg");
+        fs::write(&path, plot.to_svg()).with_context(|| format!("{}: cannot write", path.display()))?;
     }
     Ok(())
 }

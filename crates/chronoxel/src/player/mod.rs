@@ -90,6 +90,8 @@ pub struct Played {
     pub num_drawn: usize,
     /// Mean edge of a voxel in pixels over the nodes that are drawn.
     pub pixels_per_voxel: f64,
+    /// The largest of them.
+    pub most_pixels_per_voxel: f64,
     /// Whether more work would not change the picture while nothing else changes.
     pub is_settled: bool,
 }
@@ -278,6 +280,7 @@ impl Player {
             num_nodes: adapted.num_nodes,
             num_drawn: adapted.num_drawn,
             pixels_per_voxel: adapted.pixels_per_voxel,
+            most_pixels_per_voxel: adapted.most_pixels_per_voxel,
             is_settled,
         })
     }
@@ -323,6 +326,7 @@ struct Adapted {
     num_nodes: usize,
     num_drawn: usize,
     pixels_per_voxel: f64,
+    most_pixels_per_voxel: f64,
     is_settled: bool,
     ms: f64,
 }
@@ -347,6 +351,7 @@ impl Played {
             num_nodes: 0,
             num_drawn: 0,
             pixels_per_voxel: 0.0,
+            most_pixels_per_voxel: 0.0,
             is_settled: false,
         }
     }
@@ -408,13 +413,16 @@ impl Player {
             most_splits_per_frame: if pace.is_none() { usize::MAX } else { MOST_SPLITS },
         };
         let change = cut.adapt(tree, &limits, &mut nodes);
-        let (mut cost, mut num_nodes, mut num_drawn, mut pixels) = (0.0, 0, 0, 0.0);
+        let (mut cost, mut num_nodes, mut num_drawn) = (0.0, 0, 0);
+        let (mut pixels, mut most_pixels) = (0.0, 0.0f64);
         for node in drawn_nodes(cut) {
             num_nodes += 1;
             if nodes.drawn(node).is_some() {
                 num_drawn += 1;
                 cost += nodes.cost(node);
-                pixels += nodes.pixels_per_voxel(node);
+                let of_node = nodes.pixels_per_voxel(node);
+                pixels += of_node;
+                most_pixels = most_pixels.max(of_node);
             }
         }
         Adapted {
@@ -423,6 +431,7 @@ impl Player {
             num_nodes,
             num_drawn,
             pixels_per_voxel: pixels / f64::from(num_drawn.max(1) as u32),
+            most_pixels_per_voxel: most_pixels,
             is_settled: change.is_settled,
             ms: start.elapsed().as_secs_f64() * 1e3,
         }

@@ -41,10 +41,18 @@ fn only_meshes_take_what_is_for_meshes() {
 #[test]
 fn leven2002_stands_beside_what_was_measured() {
     let folder = tempdir().unwrap();
-    let report = json(folder.path(), "bench leven2002 --size tiny");
+    let report = json(folder.path(), "bench leven2002 --size tiny --out results");
     let rows = at(&report, "rows").as_array().unwrap();
-    assert_eq!(rows.len(), 8);
+    assert_eq!(rows.len(), 12);
     assert_eq!(at(&rows[0], "here.tetrahedra"), 8 * 8 * 8 * 5);
     assert!(number(&rows[0], "here.stored_megabytes") > 0.0);
     assert_eq!(at(&rows[1], "here.relative_size"), 1.0);
+    for row in &rows[8..] {
+        let figures = ["min", "median", "max"].map(|key| number(row, &format!("here.{key}")));
+        assert!(figures[0] > 0.0 && figures.is_sorted(), "{row}");
+    }
+    let plot = std::fs::read_to_string(folder.path().join("results/figure-15.svg")).unwrap();
+    for label in ["frame rate (1/s)", "nodes drawn", "voxel edge (pixels)", "frame of the flight"] {
+        assert!(plot.contains(label), "{label} is missing");
+    }
 }
