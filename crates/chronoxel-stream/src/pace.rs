@@ -146,12 +146,15 @@ impl Pace {
             return;
         }
         let mut wanted = if slope > 0.0 { (self.target_ms - fixed) / slope } else { f64::MAX };
-        // Without a second cost, how much is fixed is not known: while there is time to spare, the limit grows until something more is drawn.
-        if !self.has_slope && !is_reached && self.last().all(|s| s.ms < 0.8 * self.target_ms) {
+        // While there is time to spare, the limit grows until something more is drawn: costs are estimates, and no more is learnt from drawing the same.
+        if !is_reached && self.last().all(|s| s.ms < 0.8 * self.target_ms) {
             wanted = wanted.max(1.5 * self.limit);
         }
         let most = if is_reached { MOST_GROWTH } else { MOST_HEADROOM };
-        self.limit = wanted.clamp(drawn / MOST_GROWTH, drawn * most);
+        // The fixed part may be taken for too much while the scene changes: no more is given up than the last frames ask for, whatever the estimate.
+        let recent = median(self.last().map(|s| s.ms).collect());
+        let least = (self.target_ms / recent).powi(2).clamp(1.0 / MOST_GROWTH, 1.0);
+        self.limit = wanted.clamp(drawn * least, drawn * most);
     }
 }
 
