@@ -6,12 +6,10 @@
 //!
 //! A stage codes what the stages before it leave, as they are decoded, so that it makes up for some of their error. Tables
 //! are trained by splitting the cell of largest error across its main axis and then by Lloyd's iteration, as in Schneider and
-//! Westermann 2003. Points are taken in parts of a fixed number, whose sums are added in order: the bytes are the same
-//! for any number of threads.
+//! Westermann 2003. Points are taken in parts of a fixed number, whose sums are added in order, so that a caller with threads may come to do them in
+//! parallel without changing a byte.
 
 mod train;
-
-use rayon::prelude::*;
 
 use crate::decode::{Entries as Meaning, rows_at};
 use crate::{CodecError, Indices, Payload, Stage, Table};
@@ -192,7 +190,7 @@ pub fn decode_points(payload: &Payload, step_in_span: u32, values: &mut [f32]) -
         Meaning::Affine { .. } => Vec::new(),
     };
     let tables: Vec<Vec<f64>> = rows.iter().map(listed).collect();
-    values.par_chunks_mut(PART_POINTS).enumerate().for_each(|(part, values)| {
+    values.chunks_mut(PART_POINTS).enumerate().for_each(|(part, values)| {
         // Negative zero plus any value is that value: the sum begins with that of the first stage.
         let mut sums = vec![-0.0; values.len()];
         let first = part * PART_POINTS;

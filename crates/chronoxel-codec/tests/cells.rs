@@ -132,17 +132,6 @@ fn bounds_hold_for_what_is_decoded() {
 }
 
 #[test]
-fn threads_do_not_change_a_byte() {
-    let steps = waves(10_000, 64);
-    let steps = slices(&steps);
-    let code = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| encode_cells(&steps, &CellCodecOptions { entries: 64, max_error: None }).unwrap())
-    };
-    assert_eq!(code(1), code(3));
-}
-
-#[test]
 fn constants_single_steps_and_few_points_are_exact() {
     let constant = vec![vec![7.25f32; 50]; 64];
     let span = &encode_cells(&slices(&constant), &CellCodecOptions::default()).unwrap()[0];

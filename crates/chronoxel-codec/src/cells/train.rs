@@ -1,7 +1,5 @@
 //! Difference vectors of points, and the tables that are trained on them.
 
-use rayon::prelude::*;
-
 use crate::vq::split::split;
 use crate::vq::{Entries, Nearest, Vectors, nearest};
 use crate::{Indices, Stage, Table};
@@ -34,7 +32,7 @@ impl Parts {
             steps.iter().flat_map(|step| step[first..end].iter().copied()).collect()
         };
         let firsts: Vec<usize> = (0..num_points).step_by(PART_POINTS).collect();
-        Self { parts: firsts.into_par_iter().map(part).collect(), num_components: steps.len(), num_points }
+        Self { parts: firsts.into_iter().map(part).collect(), num_components: steps.len(), num_points }
     }
 
     /// For each point the mean of its first components.
@@ -48,7 +46,7 @@ impl Parts {
             sums.iter_mut().for_each(|sum| *sum /= num as f64);
             sums
         };
-        self.parts.par_iter().flat_map_iter(of_part).collect()
+        self.parts.iter().flat_map(of_part).collect()
     }
 
     /// Vectors of the means of every `num` components; the last may be of fewer.
@@ -67,7 +65,7 @@ impl Parts {
             means
         };
         Self {
-            parts: self.parts.par_iter().map(of_part).collect(),
+            parts: self.parts.iter().map(of_part).collect(),
             num_components: self.num_components.div_ceil(num),
             num_points: self.num_points,
         }
@@ -76,7 +74,7 @@ impl Parts {
     /// Takes away what a stage decodes to.
     pub fn subtract(&mut self, stage: &Stage) {
         let num_components = self.num_components;
-        self.parts.par_iter_mut().enumerate().for_each(|(number, part)| {
+        self.parts.iter_mut().enumerate().for_each(|(number, part)| {
             let len = part.len() / num_components;
             let first = number * PART_POINTS;
             for (t, component) in part.chunks_exact_mut(len).enumerate() {
@@ -152,7 +150,7 @@ impl Parts {
             (0..self.num_components).flat_map(component).collect()
         };
         Self {
-            parts: vectors.par_chunks(PART_POINTS).map(part).collect(),
+            parts: vectors.chunks(PART_POINTS).map(part).collect(),
             num_components: self.num_components,
             num_points: vectors.len(),
         }
@@ -166,14 +164,14 @@ impl Parts {
     /// `[vector, t]`.
     fn by_vector(&self) -> Vec<f32> {
         let vector = |p: usize| (0..self.num_components).map(move |t| self.component(p, t));
-        (0..self.num_points).into_par_iter().with_min_len(512).flat_map_iter(vector).collect()
+        (0..self.num_points).flat_map(vector).collect()
     }
 
     fn nearest(&self, entries: &Entries) -> Vec<Nearest> {
         let of_part = |part: &Vec<f32>| {
             nearest(Vectors { values: part, len: part.len() / self.num_components }, entries)
         };
-        self.parts.par_iter().map(of_part).collect()
+        self.parts.iter().map(of_part).collect()
     }
 
     /// One round of Lloyd's iteration; entries without vectors move to those of largest cost. Returns the cost before.
@@ -191,7 +189,7 @@ impl Parts {
             }
             (sums, counts)
         };
-        let of_parts: Vec<_> = self.parts.par_iter().zip(&found).map(of_part).collect();
+        let of_parts: Vec<_> = self.parts.iter().zip(&found).map(of_part).collect();
         let mut sums = vec![0.0f64; entries.values.len()];
         let mut counts = vec![0u32; num_entries];
         for (of_part, count) in &of_parts {
