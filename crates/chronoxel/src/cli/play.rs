@@ -100,6 +100,7 @@ struct FrameTime {
     is_late: bool,
     num_stand_ins: usize,
     num_drawn: usize,
+    num_coarse: usize,
     pixels_per_voxel: f64,
     fetch_ms: f64,
     render_ms: f64,
@@ -237,6 +238,13 @@ impl PlayArgs {
             bar.advance(1);
         }
         bar.finish();
+        let coarse = frames.iter().map(|f| f.num_coarse).max().unwrap_or(0);
+        if self.target_fps.is_none() && coarse > 0 {
+            warnings.push(format!(
+                "--memory {} holds no more: up to {coarse} bricks of a frame are drawn coarser than the store has them; raise it",
+                common.memory
+            ));
+        }
         warnings.iter().for_each(|warning| output::warning(warning));
         if let Some(path) = &self.csv {
             write_csv(path, &frames).with_context(|| format!("{}: cannot write", path.display()))?;
@@ -308,6 +316,7 @@ impl PlayArgs {
             is_late: played.is_late,
             num_stand_ins: played.num_stand_ins,
             num_drawn: played.num_drawn,
+            num_coarse: played.num_coarse,
             pixels_per_voxel: played.pixels_per_voxel,
             fetch_ms: picture.fetch_ms,
             render_ms: picture.render_ms,

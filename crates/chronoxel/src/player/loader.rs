@@ -68,8 +68,9 @@ impl Throttle {
     fn after(&mut self, total_bytes: u64, now: Instant) -> Instant {
         let new_bytes = total_bytes.saturating_sub(self.counted_bytes);
         self.counted_bytes = self.counted_bytes.max(total_bytes);
-        let secs = new_bytes as f64 / self.bytes_per_sec;
-        self.free_at = self.free_at.max(now) + Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX);
+        // A day is as good as for ever.
+        let secs = (new_bytes as f64 / self.bytes_per_sec).min(86_400.0);
+        self.free_at = self.free_at.max(now) + Duration::try_from_secs_f64(secs).unwrap_or_default();
         self.free_at
     }
 }

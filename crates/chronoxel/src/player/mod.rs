@@ -88,6 +88,8 @@ pub struct Played {
     pub num_nodes: usize,
     /// Of these.
     pub num_drawn: usize,
+    /// Of these, those that are coarser than was asked for, and would look different finer.
+    pub num_coarse: usize,
     /// Mean edge of a voxel in pixels over the nodes that are drawn.
     pub pixels_per_voxel: f64,
     /// The largest of them.
@@ -151,6 +153,10 @@ impl Player {
         let store = Arc::clone(session.store_shared());
         let num_steps = store.header().num_steps_finished;
         let Some(last) = order.iter().max() else { bail!("there are no steps to play") };
+        anyhow::ensure!(
+            options.throttle.is_none_or(|rate| rate >= 1.0),
+            "--throttle 0: nothing would ever be read; allow at least a byte per second"
+        );
         anyhow::ensure!(
             *last < num_steps,
             "step {last} is not in the store: its steps are 0 to {}",
@@ -279,6 +285,7 @@ impl Player {
             num_stand_ins,
             num_nodes: adapted.num_nodes,
             num_drawn: adapted.num_drawn,
+            num_coarse: adapted.num_coarse,
             pixels_per_voxel: adapted.pixels_per_voxel,
             most_pixels_per_voxel: adapted.most_pixels_per_voxel,
             is_settled,
@@ -325,6 +332,7 @@ struct Adapted {
     cost: f64,
     num_nodes: usize,
     num_drawn: usize,
+    num_coarse: usize,
     pixels_per_voxel: f64,
     most_pixels_per_voxel: f64,
     is_settled: bool,
@@ -350,6 +358,7 @@ impl Played {
             num_stand_ins: 0,
             num_nodes: 0,
             num_drawn: 0,
+            num_coarse: 0,
             pixels_per_voxel: 0.0,
             most_pixels_per_voxel: 0.0,
             is_settled: false,
@@ -413,7 +422,13 @@ impl Player {
             most_splits_per_frame: if pace.is_none() { usize::MAX } else { MOST_SPLITS },
         };
         let change = cut.adapt(tree, &limits, &mut nodes);
-        let (mut cost, mut num_nodes, mut num_drawn) = (0.0, 0, 0);
+        let (mut cost, mut num_nodes, mut num_drawn, mut num_coarse) = (0.0, 0, 0, 0);
+        let has_children = |node: NodeId| {
+            (0..8).filter_map(|octant| node.child(octant)).any(|child| tree.rank(child).is_some())
+        };
+        for node in cut.nodes().filter(|node| node.level > view.level && has_children(*node)) {
+            num_coarse += usize::from(nodes.error(node) > 0.0);
+        }
         let (mut pixels, mut most_pixels) = (0.0, 0.0f64);
         for node in drawn_nodes(cut) {
             num_nodes += 1;
@@ -430,6 +445,7 @@ impl Player {
             cost,
             num_nodes,
             num_drawn,
+            num_coarse,
             pixels_per_voxel: pixels / f64::from(num_drawn.max(1) as u32),
             most_pixels_per_voxel: most_pixels,
             is_settled: change.is_settled,

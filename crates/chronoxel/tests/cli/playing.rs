@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use tempfile::tempdir;
 
 use crate::{
-    command::{at, json, number, refused},
+    command::{at, json, number, one_object, refused, run},
     files::{noise, write_u8_steps},
     gpu::can_draw,
 };
@@ -23,6 +23,13 @@ fn store_in(folder: &Path) -> f64 {
         (noise((((step * 96 + z) * 96 + y) * 96 + x) as u64) >> 56) as u8
     });
     number(&json(folder, "encode noise.npy -o run.cxl --codec raw --memory 64MiB"), "stored_bytes")
+}
+
+/// The report of a run that may warn.
+fn json_with_warnings(folder: &Path, line: &str) -> serde_json::Value {
+    let ran = run(folder, &format!("{line} --json"));
+    assert_eq!(ran.status, 0, "{ran:?}");
+    one_object(&ran)
 }
 
 #[test]
@@ -130,6 +137,21 @@ fn a_flight_passes_its_cameras() {
         refused(folder, "play run.cxl --path bad.json", &["bad.json", says]);
     }
     refused(folder, "play run.cxl --path absent.json", &["absent.json"]);
+}
+
+#[test]
+fn what_memory_makes_coarser_is_said() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    store_in(folder);
+    let play = |options: &str| {
+        json_with_warnings(folder, &format!("play run.cxl --backend cpu --size 32x32 --frames 3 {options}"))
+    };
+    let warnings = |report: &serde_json::Value| at(report, "warnings").as_array().unwrap().len();
+    assert_eq!(warnings(&play("--memory 64MiB")), 0);
+    let tight = play("--memory 1MiB");
+    assert!(at(&tight, "warnings")[0].as_str().unwrap().contains("--memory"), "{tight}");
+    refused(folder, "play run.cxl --throttle 0", &["--throttle"]);
 }
 
 #[test]
