@@ -398,7 +398,7 @@ fn lists_that_cannot_be_drawn_are_refused() {
         ),
         ("level", change(&|bricks| bricks[7].node.level = 32)),
         (
-            "brick has",
+            "number of indices",
             change(&|bricks| {
                 coded(bricks, &|c| {
                     let mut stages = c.payload.stages.clone();
