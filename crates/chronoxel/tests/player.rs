@@ -171,6 +171,10 @@ fn a_damaged_brick_is_stood_in_for_and_named() {
         warnings.extend(played.picture.unwrap().warnings);
     }
     assert!(warnings.iter().any(|w| w.contains("brick") && w.contains("level 0")), "{warnings:?}");
+    // What cannot be read is not waited for: at rest nothing more is done.
+    let rests = PlayerOptions::default();
+    let mut player = Player::new(Session::open(&store, None, 64 << 20).unwrap(), vec![3], rests).unwrap();
+    assert!((0..200).any(|_| player.frame(&view, 0).unwrap().picture.is_none()), "never at rest");
 }
 
 /// Shards of payloads below a folder.
@@ -196,5 +200,41 @@ fn orders_that_cannot_be_played_are_refused() {
     for (order, problem) in [(vec![], "no steps"), (vec![3, 12], "step 12 is not in the store")] {
         let error = Player::new(open(), order, PlayerOptions::default()).err().unwrap();
         assert!(error.to_string().contains(problem), "{error}");
+    }
+}
+
+/// A disc of one value, without data around it, for two steps; then a spot that grows in it, while the coarse levels stay in their window.
+#[test]
+fn holes_and_late_changes_are_refined_whatever_the_values() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().join("disc.npy");
+    let value = |step: usize, i: usize| {
+        let [x, y, z] = [i % 32, i / 32 % 32, i / 1024].map(|k| k as f32 - 15.5);
+        match x * x + y * y + z * z {
+            r if r > 150.0 => f32::NAN,
+            r if step >= 2 && r < 20.0 => 3.0,
+            _ => 2.0,
+        }
+    };
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (4, 32, 32, 32), }";
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    let padded = format!("{header:<117}\n");
+    bytes.extend((padded.len() as u16).to_le_bytes());
+    bytes.extend(padded.as_bytes());
+    let samples = (0..4).flat_map(|step| (0..32usize.pow(3)).map(move |i| value(step, i)));
+    bytes.extend(samples.flat_map(f32::to_le_bytes));
+    std::fs::write(&source, bytes).unwrap();
+    let store = folder.path().join("disc.cxl");
+    let mut series = sources::open(&[source.to_string_lossy().into_owned()], &Default::default()).unwrap();
+    let options =
+        EncodeOptions { brick_edge: 8, codec: Codec::Vq, window: Some(4), ..EncodeOptions::default() };
+    encode(series.as_mut(), &store, &options, &mut |_| {}).unwrap();
+    let mut rendered = Session::open(&store, None, 1 << 30).unwrap();
+    let options = PlayerOptions { redraws: true, ..PlayerOptions::default() };
+    let mut player = player(&store, 64 << 20, &[0, 1, 2, 3], options);
+    let view = view_of(&rendered, 30.0);
+    for step in 0..4 {
+        let played = player.next(&view).unwrap().picture.unwrap();
+        assert!(image(played) == rendered.draw(&view, step).unwrap().image, "step {step}");
     }
 }

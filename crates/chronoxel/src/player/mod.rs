@@ -258,10 +258,14 @@ impl Player {
         self.want(view, place, &spans, &needed, (&adapted.wanted, is_at_rest));
         self.request();
         self.wait_for(&needed, place, &mut waited)?;
-        let (mut items, mut num_stand_ins) = self.with_stand_ins(items, step);
-        if let Some(limit) = self.options.upload_limit {
-            num_stand_ins += self.limit_uploads(&mut items, place, limit)?;
-        }
+        // What failed, or does not fit, will not come.
+        let [_, num_late] = self.count(&needed);
+        let is_all_there = num_late == 0 || self.residency.num_in_flight() == 0;
+        let (mut items, num_missing) = self.with_stand_ins(items, step);
+        let num_unsent = match self.options.upload_limit {
+            Some(limit) => self.limit_uploads(&mut items, place, limit)?,
+            None => 0,
+        };
         let start = Instant::now();
         let picture =
             self.session.draw_selected(view, (step, 0.0), &items, self.options.read_back, faults)?;
@@ -272,7 +276,7 @@ impl Player {
             self.upload_overhead = on_gpu.bytes_uploaded.saturating_sub(self.payload_upload);
         }
         let is_refined = is_at_rest || self.pace.is_none();
-        let is_settled = adapted.is_settled && is_refined && num_stand_ins == 0;
+        let is_settled = adapted.is_settled && is_refined && is_all_there && num_unsent == 0;
         self.before = Some((view.clone(), step, is_settled));
         Ok(Played {
             picture: Some(picture),
@@ -282,7 +286,7 @@ impl Player {
             wait_ms: waited.ms,
             hits,
             misses,
-            num_stand_ins,
+            num_stand_ins: num_missing + num_unsent,
             num_nodes: adapted.num_nodes,
             num_drawn: adapted.num_drawn,
             num_coarse: adapted.num_coarse,

@@ -23,39 +23,57 @@ const MOST_ERRORS: usize = 1 << 18;
 /// The spans of all levels at one step; `None` for levels whose spans are not in memory, or cannot be read.
 pub(super) struct StepSpans {
     of_levels: Vec<Option<Spans>>,
-    /// `[level][rank]`: smallest and largest sample that is drawn of a node or of any below it. Filtering smooths peaks away, so that a node may be
-    /// transparent and what it stands for not.
-    ranges: Vec<Vec<[f64; 2]>>,
+    /// `[level][rank]`: of a node and of all below it. Filtering smooths peaks and holes away, so that a node may be transparent, or whole, and what it
+    /// stands for not.
+    below: Vec<Vec<Below>>,
 }
 
-/// The range of nothing.
-const NO_RANGE: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
+/// What is drawn of a node or of any below it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Below {
+    /// Smallest and largest sample; the first is larger where there is none.
+    range: [f64; 2],
+    /// Whether any of them has a mask, or no data.
+    has_holes: bool,
+}
+
+impl Below {
+    fn of(record: Option<&SpanRecord>) -> Self {
+        match record {
+            Some(record) if record.kind != SpanKind::Empty => {
+                Self { range: record.drawn_range, has_holes: record.mask.is_some() }
+            }
+            _ => Self { range: [f64::INFINITY, f64::NEG_INFINITY], has_holes: true },
+        }
+    }
+
+    fn with(self, other: Self) -> Self {
+        let range = [self.range[0].min(other.range[0]), self.range[1].max(other.range[1])];
+        Self { range, has_holes: self.has_holes || other.has_holes }
+    }
+}
 
 impl StepSpans {
     /// Of the spans of each level, finest first.
     pub fn new(tree: &Octree, of_levels: Vec<Option<Spans>>) -> Self {
-        let mut ranges: Vec<Vec<[f64; 2]>> = Vec::with_capacity(of_levels.len());
+        let mut below: Vec<Vec<Below>> = Vec::with_capacity(of_levels.len());
         for (level, spans) in of_levels.iter().enumerate() {
             let nodes = tree.nodes(level as u8);
-            let own = |rank: usize| match spans.as_ref().map(|spans| spans[rank]) {
-                Some(record) if record.kind != SpanKind::Empty => record.drawn_range,
-                _ => NO_RANGE,
-            };
-            let mut of_level: Vec<[f64; 2]> = (0..nodes.len()).map(own).collect();
-            if let Some(below) = ranges.last() {
-                let children = tree.nodes(level as u8 - 1).iter().zip(below);
+            let own = |rank: usize| Below::of(spans.as_ref().map(|spans| &spans[rank]));
+            let mut of_level: Vec<Below> = (0..nodes.len()).map(own).collect();
+            if let Some(of_children) = below.last() {
                 let mut rank = 0;
-                for (morton, range) in children {
+                for (morton, child) in tree.nodes(level as u8 - 1).iter().zip(of_children) {
                     // Both lists are in Morton order.
                     while nodes[rank] < morton >> 3 {
                         rank += 1;
                     }
-                    of_level[rank] = [of_level[rank][0].min(range[0]), of_level[rank][1].max(range[1])];
+                    of_level[rank] = of_level[rank].with(*child);
                 }
             }
-            ranges.push(of_level);
+            below.push(of_level);
         }
-        Self { of_levels, ranges }
+        Self { of_levels, below }
     }
 
     /// Level by level, as far as they are known.
@@ -68,10 +86,10 @@ impl StepSpans {
         self.of_levels[usize::from(node.level)].as_ref()?.get(tree.rank(node)?)
     }
 
-    /// Smallest and largest sample that is drawn of a node or of any below it, if there is one.
-    fn range(&self, tree: &Octree, node: NodeId) -> Option<[f64; 2]> {
-        let range = self.ranges[usize::from(node.level)][tree.rank(node)?];
-        (range[0] <= range[1]).then_some(range)
+    /// What is drawn of a node or of any below it, if anything is.
+    fn below(&self, tree: &Octree, node: NodeId) -> Option<Below> {
+        let below = self.below[usize::from(node.level)][tree.rank(node)?];
+        (below.range[0] <= below.range[1]).then_some(below)
     }
 }
 
@@ -79,7 +97,8 @@ impl StepSpans {
 pub(super) struct ColorErrors {
     table: ColorTable,
     view: View,
-    known: HashMap<(NodeId, u32), f64>,
+    /// By node and first step of its span; what lies below may change within the span.
+    known: HashMap<(NodeId, u32), (Below, f64)>,
 }
 
 impl ColorErrors {
@@ -96,17 +115,18 @@ impl ColorErrors {
 
     /// The estimated spatial error of a node over a span (ellsworth2000, eq. 19), 0 where it has one colour.
     ///
-    /// * `range`: of everything below the node
-    fn of(&mut self, node: NodeId, record: &SpanRecord, [min, max]: [f64; 2]) -> f64 {
+    /// * `below`: of everything below the node
+    fn of(&mut self, node: NodeId, record: &SpanRecord, below: Below) -> f64 {
         let key = (node, record.start);
-        if let Some(error) = self.known.get(&key) {
+        if let Some((_, error)) = self.known.get(&key).filter(|(of, _)| *of == below) {
             return *error;
         }
+        let [min, max] = below.range;
         if self.known.len() >= MOST_ERRORS {
             self.known.clear();
         }
         let statistics = &record.statistics;
-        let is_masked = record.mask.is_some();
+        let is_masked = below.has_holes;
         let is_uniform = min == max && !is_masked;
         let estimate = approximate_spatial(
             &self.table,
@@ -121,7 +141,7 @@ impl ColorErrors {
             },
         );
         let error = if is_uniform { 0.0 } else { estimate.error.max(LEAST_COLOR_ERROR) };
-        self.known.insert(key, error);
+        self.known.insert(key, (below, error));
         error
     }
 }
@@ -211,12 +231,12 @@ pub(super) fn key_of(level: u8, record: &SpanRecord) -> Option<HeldKey> {
 impl NodeView for FrameNodes<'_> {
     fn error(&mut self, node: NodeId) -> f64 {
         let is_seen = self.volume.may_see(self.region(node));
-        let Some(range) = self.spans.range(self.tree, node).filter(|_| is_seen) else { return 0.0 };
-        if self.view.transfer.is_transparent_over(range) {
+        let Some(below) = self.spans.below(self.tree, node).filter(|_| is_seen) else { return 0.0 };
+        if self.view.transfer.is_transparent_over(below.range) {
             return 0.0;
         }
         let error = match self.spans.record(self.tree, node).copied() {
-            Some(record) if record.statistics.count > 0 => self.errors.of(node, &record, range),
+            Some(record) if record.statistics.count > 0 => self.errors.of(node, &record, below),
             _ => 1.0,
         };
         error * self.pixels_per_voxel(node)
