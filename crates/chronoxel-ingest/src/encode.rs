@@ -42,6 +42,7 @@ use chronoxel_store::{Store, StoreDescription, StoreWriter, TimeTreeEntry, Varia
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+pub(crate) use cells::same_geometry;
 pub use cells::{CellOptions, CellReport, encode_cells};
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 
