@@ -232,6 +232,7 @@ fn rates_row(speed: &Speed, num_tetrahedra: usize) -> Map<String, Value> {
         "static_fps": 1.0 / speed.still_secs,
         "moving_fps": 1.0 / speed.moving_secs,
         "loss": 100.0 * (1.0 - speed.still_secs / speed.moving_secs),
+        "extra_cpu": speed.extra_cpu.map(|share| 100.0 * share),
         "decode_ms": 1e3 * speed.decode_secs,
         "tetrahedra_per_sec": num_tetrahedra as f64 / speed.moving_secs,
     }))
@@ -289,6 +290,7 @@ fn rates_section(size: Size) -> Section {
             here("moving_fps", "here", Fixed(1)),
             paper("loss", "loss %, paper", Fixed(1)),
             here("loss", "here", Fixed(1)),
+            here("extra_cpu", "more CPU time, %", Fixed(1)),
             here("decode_ms", "decode, ms", Fixed(2)),
             paper("tetrahedra_per_sec", "tetrahedra/s, paper", Scientific),
             here("tetrahedra_per_sec", "here", Scientific),
