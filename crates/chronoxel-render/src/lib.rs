@@ -14,8 +14,8 @@ pub mod scene;
 pub mod slices;
 
 pub use cells::{
-    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, Variation, render_cells_reference,
-    static_importance,
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, FaceOrder, Variation,
+    render_cells_reference, static_importance,
 };
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;

@@ -98,7 +98,7 @@ pub struct CellRenderer {
 }
 
 /// What a table depends on.
-type TableKey = (ResolvedTransfer, [f64; 2], f64);
+type TableKey = (ResolvedTransfer, [f64; 2], [f64; 2]);
 
 impl CellRenderer {
     /// A renderer of a mesh.
@@ -144,11 +144,11 @@ impl CellRenderer {
         let view =
             view.get_or_insert_with(|| CellView::new(mesh, &scene.camera, scene.size, choice.as_ref()));
         view_changed |= view.look(mesh, &scene.camera, scene.size);
-        let key = (scene.transfer.clone(), scene.value_range, scene.opacity_unit);
+        let longest = mesh.longest_segment(choice.is_some());
+        let key = (scene.transfer.clone(), scene.value_range, [scene.opacity_unit, longest]);
         table.take_if(|(of, _)| *of != key);
         let table_changed = table.is_none();
         let (_, table) = table.get_or_insert_with(|| {
-            let longest = mesh.longest_edge;
             (key, CellTable::new(&scene.transfer, scene.value_range, scene.opacity_unit, longest))
         });
         place_corners(corners, view, table, values);
