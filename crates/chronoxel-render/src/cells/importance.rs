@@ -8,7 +8,7 @@ use super::CellMesh;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FaceChoice {
     /// Numbers of the faces, rising.
-    pub(super) faces: Vec<u32>,
+    pub(crate) faces: Vec<u32>,
 }
 
 impl FaceChoice {
