@@ -1,5 +1,5 @@
-// The tiles: a workgroup takes the faces of its tile, batch after batch, and each invocation draws them on its pixel, which
-// puts them into the right order.
+// The tiles: a workgroup takes the faces of its tile, batch after batch. Each invocation sets up a face and finds the
+// pixels that it covers; then each draws, on its own pixel, the faces that cover it.
 //
 // A pixel holds up to K fragments sorted by depth. A new one goes to its place among them, and the nearest of all leaves;
 // with the one that left before, it bounds a segment.
@@ -41,12 +41,11 @@ const NOWHERE: f32 = -3e38;
 
 // A face as its pixels need it.
 struct Setup {
-    // Two corners.
-    ends: vec4<f32>,
-    // From the first to the second, and from that to the third.
-    sides: vec4<f32>,
-    // From the first to the third; the range of depths, or of their inverses.
-    side: vec2<f32>,
+    // The first corner, and from there to the second.
+    start: vec2<f32>,
+    to_second: vec2<f32>,
+    // To the third; the range of depths, or of their inverses.
+    to_third: vec2<f32>,
     depths: vec2<f32>,
     // Depth, value and cosine at the first corner, and their changes with two of the edge functions; the range of values.
     depth: vec3<f32>,
@@ -59,6 +58,8 @@ struct Setup {
 }
 
 var<workgroup> batch: array<Setup, BATCH>;
+// For each pixel, which faces of the batch cover it, in two words.
+var<workgroup> covering: array<atomic<u32>, 128>;
 var<workgroup> is_left: u32;
 var<workgroup> tile_counts: array<atomic<u32>, 3>;
 
@@ -86,7 +87,10 @@ fn linear(at: vec3<f32>, per_area: f32) -> vec3<f32> {
     return vec3<f32>(at.x, (at.z - at.x) * per_area, (at.x - at.y) * per_area);
 }
 
-fn set_up(face: u32) -> Setup {
+// Sets up a face of the batch, and finds the pixels of the tile that it covers; says whether it found all.
+//
+// origin: the first pixel of the tile
+fn set_up(face: u32, number: u32, origin: vec2<f32>) -> bool {
     let words = vec3<u32>(faces[3u * face], faces[3u * face + 1u], faces[3u * face + 2u]);
     let points = vec3<u32>(words.x & POINT_BITS, words.yz);
     let a = corners[points.x];
@@ -105,9 +109,9 @@ fn set_up(face: u32) -> Setup {
         weights = w;
     }
     var setup: Setup;
-    setup.ends = vec4<f32>(a.xy, b.xy);
-    setup.sides = vec4<f32>(ab, c.xy - b.xy);
-    setup.side = ac;
+    setup.start = a.xy;
+    setup.to_second = ab;
+    setup.to_third = ac;
     setup.depths = vec2<f32>(min(min(w.x, w.y), w.z), max(max(w.x, w.y), w.z));
     setup.depth = linear(w, per_area);
     setup.payload = words.x >> 28u;
@@ -123,7 +127,44 @@ fn set_up(face: u32) -> Setup {
         let of_points = vec3<f32>(cosines[points.x], cosines[points.y], cosines[points.z]);
         setup.cosine = linear(of_points * weights, per_area);
     }
-    return setup;
+    batch[number] = setup;
+    return cover(array<vec2<f32>, 3>(a.xy, b.xy, c.xy), number, origin);
+}
+
+// Notes which pixels of the tile a face covers; says whether it looked at all of its box.
+fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) -> bool {
+    let ab = places[1] - places[0];
+    let bc = places[2] - places[1];
+    let ac = places[2] - places[0];
+    let low = min(min(places[0], places[1]), places[2]);
+    let high = max(max(places[0], places[1]), places[2]);
+    // Centres lie half a pixel in.
+    let first = max(ceil(low - 0.5), origin);
+    let last = min(floor(high - 0.5), origin + f32(TILE - 1u));
+    let word = number >> 5u;
+    let bit = 1u << (number & 31u);
+    var is_row_done = true;
+    var y = first.y;
+    while y <= last.y {
+        var x = first.x;
+        while x <= last.x {
+            let centre = vec2<f32>(x, y) + 0.5;
+            let signs = vec3<u32>(
+                bitcast<u32>(edge(places[0], ab, centre)),
+                bitcast<u32>(edge(places[1], bc, centre)),
+                ~bitcast<u32>(edge(places[0], ac, centre)),
+            );
+            // Signs alone count: that of the area may have been rounded away.
+            if (((signs.x ^ signs.y) | (signs.x ^ signs.z)) >> 31u) == 0u {
+                let place = vec2<u32>(vec2<f32>(x, y) - origin);
+                atomicOr(&covering[2u * (place.y * TILE + place.x) + word], bit);
+            }
+            x += 1.0;
+        }
+        is_row_done = is_row_done && x > last.x;
+        y += 1.0;
+    }
+    return is_row_done && y > last.y;
 }
 
 // An edge function: the same bits for both faces at the edge, which begins at its point of the lower number.
@@ -132,17 +173,12 @@ fn edge(start: vec2<f32>, side: vec2<f32>, pixel: vec2<f32>) -> f32 {
     return side.x * away.y - side.y * away.x;
 }
 
-// Draws a face on a pixel.
+// Draws a face on a pixel that it covers.
 fn draw(pixel: ptr<function, Pixel>, number: u32, centre: vec2<f32>) {
-    let ab = edge(batch[number].ends.xy, batch[number].sides.xy, centre);
-    let bc = edge(batch[number].ends.zw, batch[number].sides.zw, centre);
-    let ac = edge(batch[number].ends.xy, batch[number].side, centre);
-    // Signs alone count. They say which way the face is turned, too: the area's may have been rounded away.
-    let signs = vec3<u32>(bitcast<u32>(ab), bitcast<u32>(bc), ~bitcast<u32>(ac));
-    if (((signs.x ^ signs.y) | (signs.x ^ signs.z)) >> 31u) == 1u {
-        return;
-    }
-    let fragment = fragment_of(number, vec2<f32>(ab, ac), (signs.x >> 31u) == 0u);
+    let ab = edge(batch[number].start, batch[number].to_second, centre);
+    let ac = edge(batch[number].start, batch[number].to_third, centre);
+    let is_away = (bitcast<u32>(ab) >> 31u) == 0u;
+    let fragment = fragment_of(number, vec2<f32>(ab, ac), is_away);
     (*pixel).num_fragments += 1u;
     advance(pixel, insert(pixel, fragment));
 }
@@ -305,10 +341,11 @@ fn flush(pixel: ptr<function, Pixel>) {
 
 fn new_pixel(centre: vec2<f32>) -> Pixel {
     var pixel: Pixel;
-    for (var i = 0u; i < 16u; i++) {
-        pixel.held[i] = Fragment(NOWHERE, 0u);
-    }
-    pixel.last = Fragment(NOWHERE, 0u);
+    let none = Fragment(NOWHERE, 0u);
+    pixel.held = array<Fragment, 16>(
+        none, none, none, none, none, none, none, none, none, none, none, none, none, none, none, none,
+    );
+    pixel.last = none;
     pixel.transmittance = 1.0;
     pixel.per_depth = 1.0;
     if PERSPECTIVE {
@@ -339,19 +376,25 @@ fn main(
         if local == 0u {
             is_left = 0u;
         }
+        atomicStore(&covering[2u * local], 0u);
+        atomicStore(&covering[2u * local + 1u], 0u);
+        workgroupBarrier();
         if first + local < end {
-            batch[local] = set_up(pairs[first + local].y);
+            let origin = vec2<f32>(f32(group.x * TILE), f32(row - place.y));
+            let has_all = set_up(pairs[first + local].y, local, origin);
+            is_finished = is_finished && has_all;
         }
         workgroupBarrier();
-        let num = min(end - first, BATCH);
-        var i = 0u;
-        while i < num && pixel.transmittance >= LEAST_TRANSMITTANCE {
-            draw(&pixel, i, centre);
-            i += 1u;
+        for (var word = 0u; word < 2u; word++) {
+            var bits = atomicLoad(&covering[2u * local + word]);
+            while bits != 0u && pixel.transmittance >= LEAST_TRANSMITTANCE {
+                draw(&pixel, 32u * word + firstTrailingBit(bits), centre);
+                bits &= bits - 1u;
+            }
+            is_finished = is_finished && (bits == 0u || pixel.transmittance < LEAST_TRANSMITTANCE);
         }
         if pixel.transmittance >= LEAST_TRANSMITTANCE {
             is_left = 1u;
-            is_finished = is_finished && i == num;
         }
         let is_any_left = workgroupUniformLoad(&is_left);
         first += BATCH;
