@@ -9,7 +9,7 @@ use super::mesh::{cross, dot, sub};
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FaceChoice {
     /// Numbers of the faces, rising.
-    pub(super) faces: Vec<u32>,
+    pub(crate) faces: Vec<u32>,
 }
 
 impl FaceChoice {

@@ -8,7 +8,7 @@ use crate::RenderError;
 
 /// A triangle between tetrahedra, or at the mesh's boundary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Face {
+pub(crate) struct Face {
     /// Points, ascending.
     pub points: [u32; 3],
     /// Tetrahedra on the side that `(b - a) × (c - a)` points to, less those on the other side.
@@ -20,10 +20,10 @@ pub(super) struct Face {
 /// The points and tetrahedra of a mesh, made ready once for many pictures.
 #[derive(Debug)]
 pub struct CellMesh {
-    pub(super) points: Vec<[f64; 3]>,
-    pub(super) tetrahedra: Vec<[u32; 4]>,
-    pub(super) faces: Vec<Face>,
-    pub(super) longest_edge: f64,
+    pub(crate) points: Vec<[f64; 3]>,
+    pub(crate) tetrahedra: Vec<[u32; 4]>,
+    pub(crate) faces: Vec<Face>,
+    pub(crate) longest_edge: f64,
     bounds: [[f64; 3]; 2],
     num_flat: usize,
     cells_of_point: OnceLock<CellsOfPoints>,
@@ -31,7 +31,7 @@ pub struct CellMesh {
 
 /// The tetrahedra around each point, as runs of one list.
 #[derive(Debug)]
-pub(super) struct CellsOfPoints {
+pub(crate) struct CellsOfPoints {
     pub starts: Vec<u32>,
     pub cells: Vec<u32>,
 }
@@ -137,7 +137,7 @@ impl CellMesh {
     }
 
     /// The tetrahedra around each point; found when first asked for.
-    pub(super) fn cells_of_points(&self) -> &CellsOfPoints {
+    pub(crate) fn cells_of_points(&self) -> &CellsOfPoints {
         self.cells_of_point.get_or_init(|| {
             let mut starts = vec![0u32; self.points.len() + 1];
             self.tetrahedra.iter().flatten().for_each(|&p| starts[p as usize + 1] += 1);

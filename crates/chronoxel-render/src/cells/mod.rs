@@ -30,13 +30,13 @@ mod face_sort;
 mod gradient;
 mod importance;
 mod lanes;
-mod mesh;
-mod raster;
+pub(crate) mod mesh;
+pub(crate) mod raster;
 pub mod reference;
 pub mod segment;
-mod table;
-mod tile;
-mod view;
+pub(crate) mod table;
+pub(crate) mod tile;
+pub(crate) mod view;
 
 pub use importance::{FaceChoice, FaceOrder, Variation, static_importance};
 pub use mesh::CellMesh;
