@@ -9,11 +9,12 @@ mod values;
 use std::time::Instant;
 
 use anyhow::{bail, ensure};
+use chronoxel_render::{GpuPicture, ReadBack};
 use chronoxel_stream::{Late, Playback, Playhead, Shown};
 
-use crate::session::{CellPicture, CellSession, CellShot};
+use crate::session::{CellPicture, CellSession, CellShot, StepValues};
 pub use detail::DetailPace;
-use values::ValueLoader;
+use values::{Ready, ValueLoader};
 
 /// How to play cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,13 +27,22 @@ pub struct CellPlayerOptions {
     pub throttle: Option<f64>,
     /// Draw every frame as if something had changed: for measuring. Else what rests is refined to all faces, and then not drawn again.
     pub redraws: bool,
+    /// What comes back of pictures.
+    pub read_back: ReadBack,
     /// Whether playing starts over at the end: else nothing is decoded ahead beyond it.
     pub loops: bool,
 }
 
 impl Default for CellPlayerOptions {
     fn default() -> Self {
-        Self { target_fps: None, late: Late::Wait, throttle: None, redraws: false, loops: true }
+        Self {
+            target_fps: None,
+            late: Late::Wait,
+            throttle: None,
+            redraws: false,
+            read_back: ReadBack::Floats,
+            loops: true,
+        }
     }
 }
 
@@ -40,7 +50,7 @@ impl Default for CellPlayerOptions {
 #[derive(Debug, Clone)]
 pub struct CellPlayed {
     /// What it shows. `None` where nothing changed since the one before, and nothing was drawn.
-    pub picture: Option<CellPicture>,
+    pub picture: Option<CellPicture<GpuPicture>>,
     /// Its place in the order of play.
     pub place: usize,
     /// Steps left out since playing began, because there was no time to decode them.
@@ -71,7 +81,7 @@ pub struct CellPlayer {
     /// Steps in the order of play; it starts over when it is over.
     order: Vec<u32>,
     num_ahead: usize,
-    before: Option<(CellShot, u32, f64)>,
+    before: Option<(CellShot, u32)>,
     place: Option<usize>,
     playback: Playback,
 }
@@ -110,10 +120,11 @@ impl CellPlayer {
             }
             (Some(_), None) => bail!("which faces matter must be measured before a frame rate is held"),
         };
+        let decodes = !session.is_on_gpu();
         let num_steps = order.len() as u32;
         let head = Playhead { num_steps, position: 0.0, steps_per_frame: 1.0, is_looping: options.loops };
         Ok(Self {
-            loader: ValueLoader::new(session.store(), session.variable(), options.throttle)?,
+            loader: ValueLoader::new(session.store(), session.variable(), decodes, options.throttle)?,
             session,
             pace,
             options,
@@ -133,6 +144,11 @@ impl CellPlayer {
     /// The most bytes of values and payloads that were held at once.
     pub fn bytes_ahead_peak(&self) -> usize {
         self.loader.peak_bytes()
+    }
+
+    /// The most that they may take.
+    pub fn bytes_ahead_budget(&self) -> usize {
+        (self.session.memory_left() as f64 * AHEAD_SHARE) as usize
     }
 
     /// Goes back to before the first frame; what is in memory stays.
@@ -172,7 +188,7 @@ impl CellPlayer {
         self.place = Some(place);
         self.loader.want(&self.wanted(place));
         let is_at_rest = !self.options.redraws
-            && self.before.as_ref().is_some_and(|(before, at, _)| *at == step && before == shot);
+            && self.before.as_ref().is_some_and(|(before, at)| *at == step && before == shot);
         let mut played = CellPlayed {
             picture: None,
             place,
@@ -194,7 +210,11 @@ impl CellPlayer {
             let fraction = if is_at_rest { pace.refined(self.session.detail()) } else { pace.fraction() };
             self.session.set_detail(fraction)?;
         }
-        let picture = self.session.draw_values(shot, &values)?;
+        let values = match &values {
+            Ready::Values(values) => StepValues::Decoded(values),
+            Ready::Payload(payload) => StepValues::Coded(payload, step),
+        };
+        let picture = self.session.draw_values(shot, values, self.options.read_back)?;
         if let Some(pace) = self.pace.as_mut().filter(|_| !is_at_rest) {
             pace.measured(
                 start.elapsed().as_secs_f64() * 1e3,
@@ -205,7 +225,13 @@ impl CellPlayer {
         played.fraction = self.session.detail();
         played.is_settled = self.pace.is_none() || played.fraction >= 1.0;
         played.picture = Some(CellPicture { fetch_ms: played.wait_ms, ..picture });
-        self.before = Some((shot.clone(), step, played.fraction));
+        self.before = Some((shot.clone(), step));
+        // The span that begins with one of the next steps is sent while nobody waits for it.
+        for step in self.wanted(place).into_iter().skip(1) {
+            if let Some(payload) = self.loader.payload(step) {
+                self.session.prepare(&payload)?;
+            }
+        }
         Ok(played)
     }
 

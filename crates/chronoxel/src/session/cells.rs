@@ -10,7 +10,10 @@ use std::{path::Path, sync::Arc, time::Instant};
 
 use anyhow::{Context, bail, ensure};
 use chronoxel_core::{ByteLru, Camera, Image, Lighting, ResolvedTransfer, TransferFunction};
-use chronoxel_render::{CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceOrder};
+use chronoxel_render::{
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, FaceOrder, GpuCellOptions,
+    GpuCellRenderer, GpuCellStats, GpuCellValues, GpuInfo, GpuOptions, GpuPicture, ReadBack,
+};
 use chronoxel_store::{CellPayload, CellStore, Store};
 
 use super::Moment;
@@ -34,9 +37,9 @@ pub struct CellShot {
 
 /// A picture of cells, and what it took.
 #[derive(Debug, Clone)]
-pub struct CellPicture {
+pub struct CellPicture<I = Image> {
     /// The mesh over nothing.
-    pub image: Image,
+    pub image: I,
     /// What the renderer counted.
     pub stats: CellStats,
     /// Faces that were to be drawn, in the picture or not.
@@ -45,6 +48,32 @@ pub struct CellPicture {
     pub fetch_ms: f64,
     /// Time to draw, in milliseconds.
     pub render_ms: f64,
+    /// What the GPU did, where one drew.
+    pub on_gpu: Option<GpuCellStats>,
+}
+
+/// The values of a step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum StepValues<'a> {
+    /// One per point.
+    Decoded(&'a [f32]),
+    /// As they are stored, and the step.
+    Coded(&'a CellPayload, u32),
+}
+
+/// What draws.
+enum Drawer {
+    Cpu(CellRenderer),
+    Gpu(Box<GpuCellRenderer>),
+}
+
+impl Drawer {
+    fn choose(&mut self, choice: Option<FaceChoice>) {
+        match self {
+            Self::Cpu(renderer) => renderer.choose(choice),
+            Self::Gpu(renderer) => renderer.choose(choice),
+        }
+    }
 }
 
 /// An open store of cells, one variable of which is drawn.
@@ -54,7 +83,7 @@ pub struct CellSession {
     /// The box that cameras and axes refer to.
     bounds: [[f64; 3]; 2],
     mesh: Arc<CellMesh>,
-    renderer: CellRenderer,
+    drawer: Drawer,
     k: usize,
     order: Option<FaceOrder>,
     fraction: f64,
@@ -105,14 +134,15 @@ impl CellSession {
         let mesh = CellMesh::new(geometry.points, &geometry.tetrahedra)
             .with_context(|| format!("{}: the mesh cannot be drawn", path.display()))?;
         let mesh = Arc::new(mesh);
-        let renderer = CellRenderer::new(Arc::clone(&mesh), CellOptions { k, ..CellOptions::default() })?;
+        let options = CellOptions { k, ..CellOptions::default() };
+        let drawer = Drawer::Cpu(CellRenderer::new(Arc::clone(&mesh), options)?);
         let left = (memory_bytes - mesh_bytes) as f64 * PAYLOAD_SHARE;
         Ok(Self {
             store,
             variable,
             bounds,
             mesh,
-            renderer,
+            drawer,
             k,
             order: None,
             fraction: 1.0,
@@ -120,6 +150,25 @@ impl CellSession {
             values: Vec::new(),
             memory_bytes: memory_bytes - mesh_bytes,
         })
+    }
+
+    /// Draws on a GPU from now on: says on which.
+    ///
+    /// # Errors
+    /// If there is none, or it or the memory is too small for the mesh.
+    pub fn use_gpu(&mut self, options: &GpuOptions) -> anyhow::Result<GpuInfo> {
+        let of_cells = GpuCellOptions { k: self.k, ..GpuCellOptions::default() };
+        let renderer = GpuCellRenderer::new(Arc::clone(&self.mesh), options, of_cells)?;
+        let info = renderer.info().clone();
+        self.drawer = Drawer::Gpu(Box::new(renderer));
+        let choice = self.choice();
+        self.drawer.choose(choice);
+        Ok(info)
+    }
+
+    /// Whether a GPU draws.
+    pub fn is_on_gpu(&self) -> bool {
+        matches!(self.drawer, Drawer::Gpu(_))
     }
 
     /// The store.
@@ -145,6 +194,11 @@ impl CellSession {
     /// The box that cameras and axes refer to: that of the bricks beside the cells, where there are any.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         self.bounds
+    }
+
+    /// The length over which opacities of transfer functions are meant, where they do not say.
+    pub fn opacity_unit(&self) -> f64 {
+        self.store.header().opacity_unit()
     }
 
     /// The range of the variable over the steps that are finished.
@@ -189,14 +243,19 @@ impl CellSession {
         if fraction == self.fraction {
             return Ok(());
         }
-        let choice = match (&self.order, fraction < 1.0) {
-            (_, false) => None,
-            (Some(order), true) => order.choose(fraction),
-            (None, true) => bail!("which faces matter must be measured before some are left out"),
-        };
-        self.renderer.choose(choice);
+        ensure!(
+            fraction >= 1.0 || self.order.is_some(),
+            "which faces matter must be measured before some are left out"
+        );
         self.fraction = fraction;
+        let choice = self.choice();
+        self.drawer.choose(choice);
         Ok(())
+    }
+
+    /// The faces that are to be drawn, where some are left out.
+    fn choice(&self) -> Option<FaceChoice> {
+        self.order.as_ref().filter(|_| self.fraction < 1.0)?.choose(self.fraction)
     }
 
     /// Faces that are to be drawn.
@@ -229,21 +288,38 @@ impl CellSession {
             bail!("step {last} is not in the store: its steps are 0 to {}", num_steps - 1);
         }
         let start = Instant::now();
+        let payload = self.payload(step as u32)?;
+        let is_decoded = weight > 0.0 || !self.is_on_gpu();
         let mut values = std::mem::take(&mut self.values);
-        self.read_values(step as u32, &mut values)?;
+        if is_decoded {
+            decode_into(&self.store, &payload, step as u32, &mut values)?;
+        }
         if weight > 0.0 {
             let mut later = Vec::new();
             self.read_values(last as u32, &mut later)?;
             values_between(&mut values, &later, weight);
         }
         let fetch_ms = start.elapsed().as_secs_f64() * 1e3;
-        let picture = self.draw_values(shot, &values);
+        let of_step = match is_decoded {
+            true => StepValues::Decoded(&values),
+            false => StepValues::Coded(&payload, step as u32),
+        };
+        let picture = self.draw_values(shot, of_step, ReadBack::Floats);
         self.values = values;
-        Ok(CellPicture { fetch_ms, ..picture? })
+        let picture = CellPicture { fetch_ms, ..picture? };
+        Ok(picture.map(|image| match image {
+            GpuPicture::Floats(image) => image,
+            _ => unreachable!("floats were asked for"),
+        }))
     }
 
     /// Draws values of the points.
-    pub(crate) fn draw_values(&mut self, shot: &CellShot, values: &[f32]) -> anyhow::Result<CellPicture> {
+    pub(crate) fn draw_values(
+        &mut self,
+        shot: &CellShot,
+        values: StepValues,
+        read_back: ReadBack,
+    ) -> anyhow::Result<CellPicture<GpuPicture>> {
         let [width, height] = shot.size;
         let picture_bytes = width as u64 * height as u64 * BYTES_PER_PIXEL;
         ensure!(
@@ -258,27 +334,72 @@ impl CellSession {
             opacity_unit: shot.opacity_unit,
             value_range: self.variable_range(),
         };
-        let (image, stats) = self.renderer.render(&scene, values)?;
         let num_chosen = self.num_chosen();
-        Ok(CellPicture { image, stats, num_chosen, fetch_ms: 0.0, render_ms: stats.render_ms })
+        let (image, stats, on_gpu) = match (&mut self.drawer, values) {
+            (Drawer::Cpu(renderer), StepValues::Decoded(values)) => {
+                let (image, stats) = renderer.render(&scene, values)?;
+                let image = match read_back {
+                    ReadBack::Floats => GpuPicture::Floats(image),
+                    ReadBack::Bytes => GpuPicture::Bytes(image.to_bytes()),
+                    ReadBack::Nothing => GpuPicture::Nothing,
+                };
+                (image, stats, None)
+            }
+            (Drawer::Cpu(_), StepValues::Coded(..)) => bail!("the CPU draws decoded values"),
+            (Drawer::Gpu(renderer), values) => {
+                let (image, stats) = renderer.render_as(&scene, &values.for_gpu(), read_back)?;
+                (image, stats.cells, Some(stats))
+            }
+        };
+        Ok(CellPicture { image, stats, num_chosen, fetch_ms: 0.0, render_ms: stats.render_ms, on_gpu })
+    }
+
+    /// Sends what is stored of a span to the GPU before it is drawn.
+    pub(crate) fn prepare(&mut self, payload: &CellPayload) -> anyhow::Result<()> {
+        if let Drawer::Gpu(renderer) = &mut self.drawer {
+            renderer.prepare(&StepValues::Coded(payload, payload.start).for_gpu())?;
+        }
+        Ok(())
+    }
+
+    /// What is stored of the span of a step.
+    fn payload(&mut self, step: u32) -> anyhow::Result<Arc<CellPayload>> {
+        let record = self.store.span_at(self.variable, step)?;
+        if let Some(payload) = self.payloads.get(&record.start) {
+            return Ok(payload);
+        }
+        let payload = self.store.read_span(self.variable, &record)?;
+        self.payloads.insert(record.start, Arc::clone(&payload), payload.num_bytes());
+        Ok(payload)
     }
 
     /// The values of a step.
     fn read_values(&mut self, step: u32, values: &mut Vec<f32>) -> anyhow::Result<()> {
-        let record = self.store.span_at(self.variable, step)?;
-        let payload = match self.payloads.get(&record.start) {
-            Some(payload) => payload,
-            None => {
-                let payload = self.store.read_span(self.variable, &record)?;
-                self.payloads.insert(record.start, Arc::clone(&payload), payload.num_bytes());
-                payload
-            }
-        };
+        let payload = self.payload(step)?;
         decode_into(&self.store, &payload, step, values)
     }
 }
 
-impl CellPicture {
+impl StepValues<'_> {
+    fn for_gpu(&self) -> GpuCellValues<'_> {
+        match *self {
+            Self::Decoded(values) => GpuCellValues::Decoded(values),
+            Self::Coded(payload, step) => GpuCellValues::Coded {
+                payload: Arc::clone(&payload.payload),
+                key: payload.start.into(),
+                step_in_span: step - payload.start,
+                missing: payload.missing.clone(),
+            },
+        }
+    }
+}
+
+impl<I> CellPicture<I> {
+    fn map<J>(self, change: impl FnOnce(I) -> J) -> CellPicture<J> {
+        let Self { image, stats, num_chosen, fetch_ms, render_ms, on_gpu } = self;
+        CellPicture { image: change(image), stats, num_chosen, fetch_ms, render_ms, on_gpu }
+    }
+
     /// What must be said of a picture that is not right everywhere.
     pub fn warning(&self, k: usize) -> Option<String> {
         warning_of(self.stats.num_misordered, self.stats.num_fragments, k)

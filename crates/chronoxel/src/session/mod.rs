@@ -27,7 +27,7 @@ use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::BrickKey;
 pub use cells::{CellPicture, CellSession, CellShot, Importance};
-pub(crate) use cells::{decode_into, warning_of};
+pub(crate) use cells::{StepValues, decode_into, warning_of};
 use gpu::{GpuShot, OnGpu};
 pub(crate) use held::{Held, HeldKey, read_held};
 use images::Images;

@@ -1,4 +1,4 @@
-//! The values of the steps that come next, read and decoded by a thread of its own.
+//! The values of the steps that come next, read and decoded by a thread of its own; for a GPU, which decodes, only read.
 //!
 //! The thread keeps what is stored of the last two spans, so that going from block to block reads each once, and one array of
 //! values for each step that is wanted, no more.
@@ -18,8 +18,17 @@ use crate::session::decode_into;
 /// What the thread keeps of spans.
 const KEPT_PAYLOADS: usize = 2;
 
-/// Decoded values, or why there are none.
-type Answer = Result<Arc<Vec<f32>>, Arc<anyhow::Error>>;
+/// The values of a step as they are to be drawn.
+#[derive(Debug, Clone)]
+pub(super) enum Ready {
+    /// One per point.
+    Values(Arc<Vec<f32>>),
+    /// As they are stored.
+    Payload(Arc<CellPayload>),
+}
+
+/// What was asked for, or why it cannot be had.
+type Answer = Result<Ready, Arc<anyhow::Error>>;
 
 /// A thread that decodes ahead.
 pub(super) struct ValueLoader {
@@ -50,7 +59,10 @@ impl State {
     }
 
     fn count_bytes(&mut self) {
-        let arrays = self.ready.values().filter_map(|answer| answer.as_ref().ok().map(|v| v.len()));
+        let arrays = self.ready.values().map(|answer| match answer {
+            Ok(Ready::Values(values)) => values.len(),
+            _ => 0,
+        });
         let spare = self.spare.iter().map(Vec::capacity);
         let num_bytes = 4 * arrays.chain(spare).sum::<usize>() + self.payload_bytes;
         self.peak_bytes = self.peak_bytes.max(num_bytes);
@@ -107,16 +119,21 @@ struct Reader {
     /// The last spans, the newest last.
     payloads: Vec<Arc<CellPayload>>,
     bytes_per_sec: Option<f64>,
+    decodes: bool,
 }
 
 impl Reader {
-    fn decode(&mut self, step: u32, values: &mut Vec<f32>, shared: &Shared) -> anyhow::Result<()> {
+    fn make(&mut self, step: u32, mut values: Vec<f32>, shared: &Shared) -> anyhow::Result<Ready> {
         let holds = |payload: &Arc<CellPayload>| (payload.start..payload.start + payload.len).contains(&step);
         let payload = match self.payloads.iter().find(|payload| holds(payload)) {
             Some(payload) => Arc::clone(payload),
             None => self.read(step, shared)?,
         };
-        decode_into(&self.store, &payload, step, values)
+        if !self.decodes {
+            return Ok(Ready::Payload(payload));
+        }
+        decode_into(&self.store, &payload, step, &mut values)?;
+        Ok(Ready::Values(Arc::new(values)))
     }
 
     fn read(&mut self, step: u32, shared: &Shared) -> anyhow::Result<Arc<CellPayload>> {
@@ -143,20 +160,24 @@ impl Reader {
 impl ValueLoader {
     /// Starts a thread that reads and decodes a variable of a store.
     ///
+    /// * `decodes`: whether it decodes, or only reads
     /// * `bytes_per_sec`: the most that is read, if that is limited
     ///
     /// # Errors
     /// If the system gives no more threads.
-    pub fn new(store: &Arc<CellStore>, variable: usize, bytes_per_sec: Option<f64>) -> anyhow::Result<Self> {
+    pub fn new(
+        store: &Arc<CellStore>,
+        variable: usize,
+        decodes: bool,
+        bytes_per_sec: Option<f64>,
+    ) -> anyhow::Result<Self> {
         let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
-        let mut reader = Reader { store: Arc::clone(store), variable, payloads: Vec::new(), bytes_per_sec };
+        let mut reader =
+            Reader { store: Arc::clone(store), variable, payloads: Vec::new(), bytes_per_sec, decodes };
         let of_thread = Arc::clone(&shared);
         let run = move || {
-            while let Some((step, mut values)) = of_thread.next_job() {
-                let answer = match reader.decode(step, &mut values, &of_thread) {
-                    Ok(()) => Ok(Arc::new(values)),
-                    Err(error) => Err(Arc::new(error)),
-                };
+            while let Some((step, values)) = of_thread.next_job() {
+                let answer = reader.make(step, values, &of_thread).map_err(Arc::new);
                 of_thread.put(step, answer, reader.payload_bytes());
             }
         };
@@ -173,7 +194,11 @@ impl ValueLoader {
             std::mem::take(&mut state.ready).into_iter().partition(|(step, _)| steps.contains(step));
         state.ready = kept;
         let over: BTreeMap<u32, Answer> = over;
-        state.spare.extend(over.into_values().filter_map(|answer| Arc::try_unwrap(answer.ok()?).ok()));
+        let arrays = over.into_values().filter_map(|answer| match answer {
+            Ok(Ready::Values(values)) => Arc::try_unwrap(values).ok(),
+            _ => None,
+        });
+        state.spare.extend(arrays);
         let num_spare = most_spare.saturating_sub(state.ready.len());
         state.spare.truncate(num_spare);
         drop(state);
@@ -185,15 +210,23 @@ impl ValueLoader {
         self.shared.lock().ready.contains_key(&step)
     }
 
+    /// What is stored of a step, if it is there and not decoded.
+    pub fn payload(&self, step: u32) -> Option<Arc<CellPayload>> {
+        match self.shared.lock().ready.get(&step) {
+            Some(Ok(Ready::Payload(payload))) => Some(Arc::clone(payload)),
+            _ => None,
+        }
+    }
+
     /// The values of a step that is wanted, waiting for them.
     ///
     /// # Errors
     /// If they cannot be read or decoded.
-    pub fn wait(&self, step: u32) -> anyhow::Result<Arc<Vec<f32>>> {
+    pub fn wait(&self, step: u32) -> anyhow::Result<Ready> {
         let mut state = self.shared.lock();
         loop {
             match state.ready.get(&step) {
-                Some(Ok(values)) => return Ok(Arc::clone(values)),
+                Some(Ok(ready)) => return Ok(ready.clone()),
                 Some(Err(error)) => return Err(anyhow!("{error:#}")),
                 None if self.thread.as_ref().is_none_or(JoinHandle::is_finished) => {
                     return Err(anyhow!("the thread that decodes has ended"));

@@ -1,7 +1,5 @@
 //! Which faces are worth drawing, from the values of a series.
 
-use std::ops::Range;
-
 use chronoxel_render::{FaceOrder, Variation, static_importance};
 use rayon::prelude::*;
 
@@ -10,8 +8,8 @@ use super::{CellSession, decode_into};
 /// What tells how much a face matters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Importance {
-    /// How much the values at its points vary over some steps.
-    Variation(Range<usize>),
+    /// How much the values at its points vary over some steps, in rising order.
+    Variation(Vec<usize>),
     /// The values of one step, for comparison: every class of its histogram alike.
     Static(usize),
 }
@@ -42,18 +40,17 @@ impl CellSession {
                 advance()?;
                 FaceOrder::by_importance(&self.mesh, &static_importance(&self.mesh, &values, SEED))
             }
-            Importance::Variation(steps) => self.variation(steps.clone(), advance)?,
+            Importance::Variation(steps) => self.variation(steps, advance)?,
         };
         self.order = Some(order);
-        // The choice that was made before is not one of this order.
-        let fraction = std::mem::replace(&mut self.fraction, 1.0);
-        self.renderer.choose(None);
-        self.set_detail(fraction)
+        let choice = self.choice();
+        self.drawer.choose(choice);
+        Ok(())
     }
 
     fn variation(
         &self,
-        steps: Range<usize>,
+        steps: &[usize],
         advance: &mut dyn FnMut() -> anyhow::Result<()>,
     ) -> anyhow::Result<FaceOrder> {
         let num_points = self.mesh.num_points();
@@ -61,23 +58,20 @@ impl CellSession {
         let num_at_once = rayon::current_num_threads().min(MOST_AT_ONCE).min(fitting).max(1);
         let mut variation = Variation::new(num_points);
         let mut buffers = vec![Vec::new(); num_at_once];
-        let mut next = steps.start as u32;
-        while next < steps.end as u32 {
-            let record = self.store.span_at(self.variable, next)?;
+        let mut rest = steps;
+        while let Some(&first) = rest.first() {
+            let record = self.store.span_at(self.variable, first as u32)?;
             let payload = self.store.read_span(self.variable, &record)?;
-            let end = (record.start + record.len).min(steps.end as u32);
-            while next < end {
-                let of_batch: Vec<u32> = (next..end).take(num_at_once).collect();
-                buffers
-                    .par_iter_mut()
-                    .zip(&of_batch)
-                    .with_max_len(1)
-                    .try_for_each(|(values, step)| decode_into(&self.store, &payload, *step, values))?;
-                for values in &buffers[..of_batch.len()] {
+            let end = (record.start + record.len) as usize;
+            let (of_span, after) = rest.split_at(rest.partition_point(|step| *step < end));
+            rest = after;
+            for batch in of_span.chunks(num_at_once) {
+                let jobs = buffers.par_iter_mut().zip(batch).with_max_len(1);
+                jobs.try_for_each(|(values, step)| decode_into(&self.store, &payload, *step as u32, values))?;
+                for values in &buffers[..batch.len()] {
                     variation.push(values);
                     advance()?;
                 }
-                next += of_batch.len() as u32;
             }
         }
         Ok(variation.order(&self.mesh, self.variable_range()))
