@@ -42,7 +42,7 @@ impl CellGeometry {
     }
 
     /// XXH3-128 of all numbers as little-endian bytes, points first.
-    pub(crate) fn digest(&self) -> String {
+    pub fn digest(&self) -> String {
         let mut hasher = Xxh3::new();
         self.points.iter().flatten().for_each(|x| hasher.update(&x.to_le_bytes()));
         self.tetrahedra.iter().flatten().for_each(|i| hasher.update(&i.to_le_bytes()));
