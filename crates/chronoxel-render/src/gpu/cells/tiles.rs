@@ -165,7 +165,8 @@ impl Tiles {
         device.read(&self.counts_read.raw, COUNTS_BYTES, |bytes| words.copy_from_slice(cast_slice(bytes)))?;
         if words[4] > 0 {
             let adapter = device.info.name.clone();
-            let reason = format!("a tile has over {MOST_SOFTWARE_FACES} faces: draw fewer or a larger picture");
+            let reason =
+                format!("a tile has over {MOST_SOFTWARE_FACES} faces: draw fewer or a larger picture");
             return Err(GpuError::Setup { adapter, reason });
         }
         let count = |at: usize| u64::from(words[at]) | u64::from(words[at + 1]) << 32;
