@@ -1,7 +1,7 @@
 //! A mesh as it is seen from somewhere: projected points, and faces sorted by depth and binned to tiles.
 //!
-//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew; moving
-//! or zooming it only projects and bins.
+//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew, and in a
+//! perspective moving it; zooming only projects and bins.
 
 use std::collections::HashMap;
 
@@ -89,12 +89,12 @@ impl CellView {
     }
 
     /// Sees the same faces of the same mesh from another place, and says whether anything changed; sorts them again
-    /// only if the direction did.
+    /// only if the direction did, or in a perspective the eye.
     pub fn look(&mut self, mesh: &CellMesh, camera: &Camera, size: [usize; 2]) -> bool {
         if self.camera == *camera && self.size == size {
             return false;
         }
-        let is_turned = self.camera.axes()[2] != camera.axes()[2];
+        let is_turned = visibility::depends_on(&self.camera) != visibility::depends_on(camera);
         (self.camera, self.size) = (*camera, size);
         if is_turned {
             self.order = visibility::order(mesh, camera, &self.chosen);

@@ -13,6 +13,14 @@ use super::{CellMesh, face_sort};
 
 /// Of faces that are seen from their edges.
 const NEITHER: u8 = 2;
+/// Parts of the tetrahedra whose faces are listed on their own.
+const NUM_PARTS: usize = 64;
+
+/// What the order depends on: the direction of view, and in a perspective the eye.
+pub(crate) fn depends_on(camera: &Camera) -> [[f64; 3]; 2] {
+    let is_perspective = matches!(camera.projection(), Projection::Perspective { .. });
+    [camera.axes()[2], if is_perspective { camera.position() } else { [0.0; 3] }]
+}
 
 /// Some faces of a mesh in order, nearest first.
 ///
@@ -25,26 +33,21 @@ pub(crate) fn order(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32>
         faces.iter().for_each(|&face| is_chosen[face as usize] = true);
         is_chosen
     });
-    // A face comes after the tetrahedron in front of it, or where there is none before the one behind.
-    let of_cell = |&cell: &u32| {
-        let faces = mesh.faces_of_cells[cell as usize];
-        let place = move |&face: &u32| {
-            let [front, back] = in_order(mesh.sides[face as usize], fronts[face as usize]);
-            match (front == cell, front == NO_CELL && back == cell) {
-                (true, _) => Some(true),
-                (_, true) => Some(false),
-                _ => None,
-            }
-        };
-        let places = faces.map(|face| place(&face));
-        let at = move |after: bool| (0..4).filter(move |&i| places[i] == Some(after)).map(move |i| faces[i]);
-        at(false).chain(at(true))
-    };
     let chosen = |face: &u32| is_chosen.as_ref().is_none_or(|chosen| chosen[*face as usize]);
-    let parts: Vec<Vec<u32>> = cells
-        .par_chunks(cells.len().div_ceil(64).max(1))
-        .map(|cells| cells.iter().flat_map(&of_cell).filter(&chosen).collect())
-        .collect();
+    let of_part = |cells: &[u32]| {
+        let mut of_part = Vec::with_capacity(3 * cells.len());
+        for &cell in cells {
+            let faces = mesh.faces_of_cells[cell as usize];
+            let at = faces.map(|face| in_order(mesh.sides[face as usize], fronts[face as usize]));
+            // A face comes after the tetrahedron in front of it, or where there is none before the one behind.
+            let before = (0..4).filter(|&i| at[i] == [NO_CELL, cell]);
+            let after = (0..4).filter(|&i| at[i][0] == cell);
+            of_part.extend(before.chain(after).map(|i| faces[i]).filter(chosen));
+        }
+        of_part
+    };
+    let parts: Vec<Vec<u32>> =
+        cells.par_chunks(cells.len().div_ceil(NUM_PARTS).max(1)).map(of_part).collect();
     parts.concat()
 }
 
@@ -61,7 +64,13 @@ fn fronts(mesh: &CellMesh, camera: &Camera) -> Vec<u8> {
         let [a, b, c] = face.points.map(|p| mesh.points[p as usize]);
         let to_camera = if is_perspective { sub(eye, a) } else { forward.map(|x| -x) };
         let along = dot(cross(sub(b, a), sub(c, a)), to_camera);
-        if along > 0.0 { 0 } else if along < 0.0 { 1 } else { NEITHER }
+        if along > 0.0 {
+            0
+        } else if along < 0.0 {
+            1
+        } else {
+            NEITHER
+        }
     };
     mesh.faces.par_iter().with_min_len(1 << 12).map(front).collect()
 }
