@@ -81,6 +81,7 @@ fn picture(store: &Path, angles: [f64; 2]) -> Image {
         opacity_unit: 1.0 / 32.0,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let picture = session.draw(&view, 0).unwrap();
     assert!(picture.warnings.is_empty(), "{:?}", picture.warnings);
@@ -166,6 +167,7 @@ fn nothing_is_drawn_beyond_the_mesh() {
         opacity_unit: 0.01,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let image = session.draw(&view, 0).unwrap().image;
     let centre = 119.5;
@@ -215,6 +217,7 @@ fn surface(store: &Path) -> Image {
         opacity_unit: 0.02,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let picture = session.draw(&view, 0).unwrap();
     assert!(picture.warnings.is_empty(), "{:?}", picture.warnings);

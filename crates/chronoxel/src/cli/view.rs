@@ -14,7 +14,7 @@ use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_po
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
     bytes::ByteSize,
-    session::{CoherenceView, Metric, Moment, Picture, Session, View, orbit_camera},
+    session::{CoherenceView, LevelBorders, Metric, Moment, Picture, Session, View, orbit_camera},
 };
 
 /// Options of `render`, `movie` and `play`.
@@ -51,6 +51,9 @@ pub struct ViewArgs {
     /// Finest octree level to draw; 0 is full resolution
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub level: u8,
+    /// How bricks of different levels meet: each by its own samples, or filtered so that no seam shows (on the CPU)
+    #[arg(long, value_name = "HOW", default_value = "sharp")]
+    pub level_borders: LevelBordersName,
     #[command(flatten)]
     pub coherence: CoherenceArgs,
     /// Background: a name, #RRGGBB, or transparent
@@ -180,6 +183,15 @@ pub enum InterpolationName {
     Color,
 }
 
+/// How bricks of different levels meet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LevelBordersName {
+    /// Each as it interpolates its own samples.
+    Sharp,
+    /// Without a jump.
+    Filtered,
+}
+
 /// What was chosen to draw, and why.
 #[derive(Debug, Clone)]
 pub struct ChosenBackend {
@@ -247,6 +259,11 @@ impl ViewArgs {
             self.method == Method::Raycast || self.interpolation == InterpolationName::Scalar,
             "--interpolation color is for rays: leave out --method slices"
         );
+        let filters = self.level_borders == LevelBordersName::Filtered;
+        anyhow::ensure!(
+            !filters || !(needs_gpu || self.backend == Backend::Gpu),
+            "--level-borders filtered is for rays on the CPU: leave out --backend gpu, --method slices and --interpolation color"
+        );
         let cpu = |reason: String| {
             anyhow::ensure!(
                 !needs_gpu,
@@ -261,6 +278,7 @@ impl ViewArgs {
         };
         match self.backend {
             Backend::Cpu => cpu("asked for".into()),
+            Backend::Auto if filters => cpu("--level-borders filtered is for the CPU".into()),
             Backend::Gpu => gpu("asked for".into()),
             Backend::Auto => match GpuRenderer::adapter(&options) {
                 Ok(info) if info.is_software && interpolation == Interpolation::Scalar => cpu(format!(
@@ -299,6 +317,10 @@ impl ViewArgs {
             opacity_unit: self.transfer.opacity_unit.unwrap_or(session.store().header().opacity_unit()),
             level: self.level,
             coherence: self.coherence.view(),
+            level_borders: match self.level_borders {
+                LevelBordersName::Sharp => LevelBorders::Sharp,
+                LevelBordersName::Filtered => LevelBorders::Filtered,
+            },
         })
     }
 

@@ -1,0 +1,258 @@
+//! Filtering across the borders of levels: bricks beside coarser ones meet them without a jump.
+//!
+//! A sample of a brick that lies in the closed box of what is drawn coarser takes the value that is drawn there (as lamar1999's
+//! transition textures, in the brick's own border). Samples of finer levels divide the cells of coarser ones, so that what the finer
+//! brick interpolates on a face that both share is what the coarser one does: the picture's field is continuous there. Which sample
+//! changes, and to what, follows from its place alone: neighbours of the same level change alike. Where coarser
+//! samples without data would have a part, a sample keeps its own value; so a linear field stays linear up to the boundary of the data.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use chronoxel_core::{BrickLayout, NodeId};
+use rayon::prelude::*;
+
+use crate::{DrawBrick, DrawHow, PreparedBrick};
+
+/// For each entry of a draw list, those of coarser nodes that its samples reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LevelBorders {
+    coarser: Vec<Vec<usize>>,
+}
+
+impl LevelBorders {
+    /// Of the entries of a draw list.
+    ///
+    /// * `entries`: the node of each, and its box; boxes are those of nodes, and do not overlap
+    pub fn new(entries: &[(NodeId, [[f64; 3]; 2])], layout: &BrickLayout) -> Self {
+        let boxes = Boxes::new(entries, layout);
+        let coarser = entries.par_iter().map(|&(node, region)| {
+            let mut found = Vec::new();
+            boxes.collect(reach(node, region, layout), &mut found);
+            found.retain(|&other| entries[other].0.level > node.level);
+            // The coarsest is the last: its values hold where several meet.
+            found.sort_unstable_by_key(|&other| (entries[other].0.level, other));
+            found
+        });
+        Self { coarser: coarser.collect() }
+    }
+
+    /// Entries of coarser nodes that the samples of an entry reach, coarsest last.
+    pub fn coarser_than(&self, entry: usize) -> &[usize] {
+        &self.coarser[entry]
+    }
+
+    /// Adds to entries all those that they depend on, directly or through others; ascending, without the entries themselves.
+    pub fn needed_by(&self, entries: Range<usize>) -> Vec<usize> {
+        let mut is_needed = vec![false; self.coarser.len()];
+        let mut open: Vec<usize> = entries.clone().collect();
+        while let Some(entry) = open.pop() {
+            for &other in &self.coarser[entry] {
+                if !std::mem::replace(&mut is_needed[other], true) {
+                    open.push(other);
+                }
+            }
+        }
+        (0..is_needed.len()).filter(|entry| is_needed[*entry] && !entries.contains(entry)).collect()
+    }
+}
+
+/// The draw list whose bricks meet coarser ones without a jump.
+///
+/// * `borders`: of the same list
+/// * `ranges`: of entries that are drawn as a constant or not at all, the range of the values that look like that, where it is known
+pub fn filter_level_borders(
+    bricks: &[DrawBrick],
+    borders: &LevelBorders,
+    ranges: &(dyn Fn(usize) -> Option<[f64; 2]> + Sync),
+) -> Vec<DrawBrick> {
+    let mut filtered = bricks.to_vec();
+    let mut order: Vec<usize> = (0..bricks.len()).collect();
+    order.sort_by_key(|&i| std::cmp::Reverse(bricks[i].node.level));
+    // Coarsest first: what a brick takes from a coarser one is what that one shows in the end.
+    for of_level in order.chunk_by(|&a, &b| bricks[a].node.level == bricks[b].node.level) {
+        let changed: Vec<_> = of_level
+            .par_iter()
+            .filter_map(|&i| changed_brick(&filtered, i, borders.coarser_than(i), ranges).map(|new| (i, new)))
+            .collect();
+        for (i, brick) in changed {
+            filtered[i].how = DrawHow::Samples(Arc::new(brick));
+        }
+    }
+    filtered
+}
+
+/// A brick with the values of the coarser ones around it; `None` where nothing changes.
+fn changed_brick(
+    bricks: &[DrawBrick],
+    entry: usize,
+    coarser: &[usize],
+    ranges: &(dyn Fn(usize) -> Option<[f64; 2]> + Sync),
+) -> Option<PreparedBrick> {
+    let DrawBrick { node, region, how: DrawHow::Samples(prepared) } = &bricks[entry] else { return None };
+    let mut changes: HashMap<usize, f64> = HashMap::new();
+    for &other in coarser {
+        let neighbour = &bricks[other];
+        let value_at: Box<dyn Fn([f64; 3], f64) -> Option<f64>> = match &neighbour.how {
+            DrawHow::Samples(coarse) => {
+                let field = CoarseField::new(coarse, neighbour.node);
+                Box::new(move |voxel, _| field.at(voxel))
+            }
+            _ => match ranges(other) {
+                Some([low, high]) => Box::new(move |_, own| Some(own.max(low).min(high))),
+                None => continue,
+            },
+        };
+        for (index, voxel) in shared_samples(*node, *region, neighbour.region, prepared.layout()) {
+            let own = changes.get(&index).copied().unwrap_or_else(|| prepared.value(index));
+            if let Some(value) = value_at(voxel, own).filter(|value| *value != own) {
+                changes.insert(index, value);
+            }
+        }
+    }
+    (!changes.is_empty()).then(|| prepared.with_values(&changes))
+}
+
+/// The box around the samples of a node that its drawing in `region` may use, voxels of level 0.
+fn reach(node: NodeId, region: [[f64; 3]; 2], layout: &BrickLayout) -> [[f64; 3]; 2] {
+    let scale = (1u64 << node.level) as f64;
+    [
+        region[0].map(|v| v - scale * layout.low as f64),
+        region[1].map(|v| v + scale * (layout.high - 1) as f64),
+    ]
+}
+
+/// The samples of a node that lie in the closed box of a neighbour, with their places in voxels of level 0.
+fn shared_samples(
+    node: NodeId,
+    region: [[f64; 3]; 2],
+    neighbour: [[f64; 3]; 2],
+    layout: &BrickLayout,
+) -> impl Iterator<Item = (usize, [f64; 3])> {
+    let scale = (1u64 << node.level) as f64;
+    let reach = reach(node, region, layout);
+    let full = layout.full_edge();
+    let first = node.brick().map(|b| f64::from(b) * layout.edge as f64 - layout.low as f64);
+    let [x, y, z] = [0, 1, 2].map(|a| {
+        let from = (reach[0][a].max(neighbour[0][a]) / scale).ceil() - first[a];
+        let to = (reach[1][a].min(neighbour[1][a]) / scale).floor() - first[a];
+        from.max(0.0) as usize..((to + 1.0).max(0.0) as usize).min(full)
+    });
+    let place = move |i: [usize; 3]| std::array::from_fn(|a| (first[a] + i[a] as f64) * scale);
+    z.flat_map(move |k| {
+        let x = x.clone();
+        y.clone().flat_map(move |j| x.clone().map(move |i| (i + full * (j + full * k), place([i, j, k]))))
+    })
+}
+
+/// A coarse brick as it is drawn: what it interpolates.
+struct CoarseField<'a> {
+    brick: &'a PreparedBrick,
+    origin: [f64; 3],
+    per_voxel: f64,
+}
+
+impl<'a> CoarseField<'a> {
+    fn new(brick: &'a PreparedBrick, node: NodeId) -> Self {
+        let edge = brick.layout().edge as f64;
+        let origin = node.brick().map(|b| f64::from(b) * edge);
+        Self { brick, origin, per_voxel: 1.0 / (1u64 << node.level) as f64 }
+    }
+
+    /// The value at a place in its box; `None` where a masked sample has a part in it.
+    fn at(&self, voxel: [f64; 3]) -> Option<f64> {
+        let layout = self.brick.layout();
+        let place: [f64; 3] = std::array::from_fn(|a| voxel[a] * self.per_voxel - self.origin[a]);
+        let cell = place.map(|p| p.floor().clamp(0.0, (layout.edge - 1) as f64));
+        let weight: [f64; 3] = std::array::from_fn(|a| place[a] - cell[a]);
+        let mut value = 0.0;
+        for corner in 0..8 {
+            let bits = [corner & 1, corner >> 1 & 1, corner >> 2];
+            let of_axis = |a: usize| if bits[a] == 1 { weight[a] } else { 1.0 - weight[a] };
+            let w = of_axis(0) * of_axis(1) * of_axis(2);
+            if w == 0.0 {
+                continue;
+            }
+            let [i, j, k] = [0, 1, 2].map(|a| cell[a] as usize + bits[a] + layout.low);
+            let index = i + layout.full_edge() * (j + layout.full_edge() * k);
+            if self.brick.mask.as_ref().is_some_and(|mask| mask.get(index)) {
+                return None;
+            }
+            value += w * self.brick.value(index);
+        }
+        Some(value)
+    }
+}
+
+/// The boxes of a draw list by place.
+struct Boxes {
+    /// By level and place among the bricks of that level.
+    cells: HashMap<(u8, [u32; 3]), Cell>,
+    root: u8,
+    /// Voxels along an edge of a cell of level 0.
+    edge: f64,
+}
+
+#[derive(Clone, Copy)]
+enum Cell {
+    Entry(usize),
+    Divided,
+}
+
+impl Boxes {
+    fn new(entries: &[(NodeId, [[f64; 3]; 2])], layout: &BrickLayout) -> Self {
+        let edge = layout.edge as f64;
+        let placed: Vec<(u8, [u32; 3])> = entries
+            .iter()
+            .map(|(_, [low, high])| {
+                // Boxes are cut at the end of the grid: then a smaller cell has all that is left of them.
+                let longest = (0..3).map(|a| (high[a] - low[a]) / edge).fold(1.0, f64::max);
+                let level = (longest.ceil() as u64).next_power_of_two().trailing_zeros() as u8;
+                (level, low.map(|v| ((v / edge) as u32) >> level))
+            })
+            .collect();
+        let highest = placed.iter().map(|(level, cell)| level + bits(cell)).max();
+        let root = highest.unwrap_or(0);
+        let mut cells = HashMap::new();
+        for (i, &(level, cell)) in placed.iter().enumerate() {
+            cells.insert((level, cell), Cell::Entry(i));
+            for above in level + 1..=root {
+                let key = (above, cell.map(|c| c >> (above - level)));
+                if cells.insert(key, Cell::Divided).is_some() {
+                    break;
+                }
+            }
+        }
+        Self { cells, root, edge }
+    }
+
+    /// Entries whose closed boxes touch a closed box.
+    fn collect(&self, within: [[f64; 3]; 2], found: &mut Vec<usize>) {
+        self.descend(self.root, [0; 3], within, found);
+    }
+
+    fn descend(&self, level: u8, cell: [u32; 3], [low, high]: [[f64; 3]; 2], found: &mut Vec<usize>) {
+        let size = self.edge * (1u64 << level) as f64;
+        let touches =
+            (0..3).all(|a| f64::from(cell[a]) * size <= high[a] && low[a] <= f64::from(cell[a] + 1) * size);
+        if !touches {
+            return;
+        }
+        match self.cells.get(&(level, cell)) {
+            Some(Cell::Entry(entry)) => found.push(*entry),
+            Some(Cell::Divided) if level > 0 => {
+                for octant in 0..8 {
+                    let child = std::array::from_fn(|a| 2 * cell[a] + (octant >> a & 1));
+                    self.descend(level - 1, child, [low, high], found);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Bits of the largest of three numbers.
+fn bits(cell: &[u32; 3]) -> u8 {
+    cell.iter().map(|c| u32::BITS - c.leading_zeros()).max().unwrap_or(0) as u8
+}
