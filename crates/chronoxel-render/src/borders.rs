@@ -256,3 +256,172 @@ impl Boxes {
 fn bits(cell: &[u32; 3]) -> u8 {
     cell.iter().map(|c| u32::BITS - c.leading_zeros()).max().unwrap_or(0) as u8
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use chronoxel_core::{BitMask, ResidentBrick};
+
+    fn layout() -> BrickLayout {
+        BrickLayout::new(8).unwrap()
+    }
+
+    fn curved([x, y, z]: [f64; 3]) -> f64 {
+        (0.31 * x).sin() + (0.23 * y - 0.11 * x).cos() + 0.02 * z * (0.17 * z).sin()
+    }
+
+    fn linear([x, y, z]: [f64; 3]) -> f64 {
+        0.5 * x - 0.25 * y + 0.125 * z
+    }
+
+    fn region_of(node: NodeId) -> [[f64; 3]; 2] {
+        let size = (8u32 << node.level) as f64;
+        let low = node.brick().map(|b| f64::from(b) * size);
+        [low, low.map(|v| v + size)]
+    }
+
+    /// A field's samples at a node, rounded to 65536 steps from -8 to 8 or, `per_brick`, from the smallest to the largest.
+    fn brick(
+        node: NodeId,
+        field: fn([f64; 3]) -> f64,
+        per_brick: bool,
+        mask: impl Fn([f64; 3]) -> bool,
+    ) -> DrawBrick {
+        let full = layout().full_edge();
+        let scale = f64::from(1u32 << node.level);
+        let places: Vec<[f64; 3]> = (0..full.pow(3))
+            .map(|i| [i % full, i / full % full, i / full / full])
+            .map(|i| std::array::from_fn(|a| (f64::from(node.brick()[a] * 8) + i[a] as f64 - 1.0) * scale))
+            .collect();
+        let values: Vec<f64> = places.iter().map(|p| field(*p)).collect();
+        let [low, high] = match per_brick {
+            false => [-8.0, 8.0],
+            true => values.iter().fold([f64::MAX, f64::MIN], |[l, h], v| [l.min(*v), h.max(*v)]),
+        };
+        let per_step = (high - low) / 65535.0;
+        let samples = values.iter().map(|v| ((v - low) / per_step).round() as u16).collect();
+        let mask = Some(BitMask::from_flags(places.into_iter().map(mask)));
+        let resident = ResidentBrick { samples, offset: low, scale: per_step, mask };
+        let how = DrawHow::Samples(Arc::new(PreparedBrick::new(resident, &layout()).unwrap()));
+        DrawBrick { node, region: region_of(node), how }
+    }
+
+    /// An octant of level 2 beside octants of level 1, one of which has children.
+    fn nodes() -> Vec<NodeId> {
+        let mut nodes: Vec<NodeId> = (0..2).map(|z| NodeId::new(2, [0, 0, z])).collect();
+        let of_level_1: Vec<[u32; 3]> = (0..16).map(|i| [2 + i % 2, i / 2 % 2, i / 4]).collect();
+        for brick in of_level_1 {
+            match brick {
+                [2, 1, 1] | [2, 0, 2] => {
+                    nodes.extend(
+                        (0..8u32)
+                            .map(|o| NodeId::new(0, std::array::from_fn(|a| 2 * brick[a] + (o >> a & 1)))),
+                    );
+                }
+                _ => nodes.push(NodeId::new(1, brick)),
+            }
+        }
+        nodes
+    }
+
+    fn filter(bricks: &[DrawBrick]) -> Vec<DrawBrick> {
+        let entries: Vec<_> = bricks.iter().map(|b| (b.node, b.region)).collect();
+        filter_level_borders(bricks, &LevelBorders::new(&entries, &layout()), &|_| None)
+    }
+
+    fn prepared(brick: &DrawBrick) -> &PreparedBrick {
+        match &brick.how {
+            DrawHow::Samples(prepared) => prepared,
+            _ => panic!("not drawn from samples"),
+        }
+    }
+
+    /// What a brick shows at a place of its box.
+    fn shown(brick: &DrawBrick, place: [f64; 3]) -> f64 {
+        CoarseField::new(prepared(brick), brick.node).at(place).unwrap()
+    }
+
+    /// The largest difference at places that two bricks' boxes share, between those of which `is_wanted`.
+    fn largest_jump(bricks: &[DrawBrick], is_wanted: impl Fn(u8, u8) -> bool) -> (f64, usize) {
+        let (mut largest, mut num): (f64, usize) = (0.0, 0);
+        for (i, a) in bricks.iter().enumerate() {
+            for b in bricks[..i].iter().filter(|b| is_wanted(a.node.level, b.node.level)) {
+                let low: [f64; 3] = std::array::from_fn(|k| a.region[0][k].max(b.region[0][k]));
+                let high: [f64; 3] = std::array::from_fn(|k| a.region[1][k].min(b.region[1][k]));
+                if (0..3).any(|k| low[k] > high[k]) {
+                    continue;
+                }
+                for t in 0..9 * 9 * 9 {
+                    let t = [t % 9, t / 9 % 9, t / 81].map(|t| f64::from(t) / 8.0 * 0.97);
+                    let place = std::array::from_fn(|k| low[k] + t[k] * (high[k] - low[k]));
+                    largest = largest.max((shown(a, place) - shown(b, place)).abs());
+                    num += 1;
+                }
+            }
+        }
+        (largest, num)
+    }
+
+    #[test]
+    fn a_curved_field_does_not_jump_between_levels() {
+        for per_brick in [false, true] {
+            let bricks: Vec<_> =
+                nodes().into_iter().map(|n| brick(n, curved, per_brick, |_| false)).collect();
+            let (before, num) = largest_jump(&bricks, |a, b| a != b);
+            assert!(before > 0.1 && num > 10_000, "{before} at {num} places");
+            let (after, _) = largest_jump(&filter(&bricks), |_, _| true);
+            // A rounding of each of the two.
+            assert!(after <= 16.0 / 65535.0, "{after}");
+        }
+    }
+
+    #[test]
+    fn neighbours_of_a_level_change_alike() {
+        let bricks: Vec<_> = nodes().into_iter().map(|n| brick(n, curved, false, |_| false)).collect();
+        let filtered = filter(&bricks);
+        let num_changed =
+            bricks.iter().zip(&filtered).filter(|(a, b)| prepared(a).samples != prepared(b).samples);
+        assert!(num_changed.count() > 10);
+        let (jump, num) = largest_jump(&filtered, |a, b| a == b);
+        assert!(jump == 0.0 && num > 10_000, "{jump} at {num} places");
+    }
+
+    #[test]
+    fn a_linear_field_stays_as_it_is() {
+        // Masked beyond a slanted plane, with values there that are made up.
+        fn field(p: [f64; 3]) -> f64 {
+            if is_masked(p) { 7.0 } else { linear(p) }
+        }
+        fn is_masked([x, y, z]: [f64; 3]) -> bool {
+            x + y + 0.7 * z > 47.0
+        }
+        let bricks: Vec<_> = nodes().into_iter().map(|n| brick(n, field, false, is_masked)).collect();
+        let filtered = filter(&bricks);
+        for (before, after) in bricks.iter().zip(&filtered) {
+            let (mask, full) = (prepared(before).mask.as_ref().unwrap(), layout().num_full());
+            let unmasked: Vec<usize> = (0..full).filter(|i| !mask.get(*i)).collect();
+            let difference =
+                unmasked.iter().map(|&i| (prepared(before).value(i) - prepared(after).value(i)).abs());
+            assert!(difference.fold(0.0, f64::max) <= 1.01 * 16.0 / 65535.0);
+        }
+    }
+
+    #[test]
+    fn values_beside_a_uniform_look_come_within_its_range() {
+        let coarse = NodeId::new(1, [0, 0, 0]);
+        let skipped = DrawBrick { node: coarse, region: region_of(coarse), how: DrawHow::Skip };
+        let fine = brick(NodeId::new(0, [2, 0, 0]), curved, true, |_| false);
+        let bricks = [skipped, fine];
+        let entries: Vec<_> = bricks.iter().map(|b| (b.node, b.region)).collect();
+        let borders = LevelBorders::new(&entries, &layout());
+        assert_eq!(borders.coarser_than(1), [0]);
+        assert_eq!(borders.needed_by(1..2), [0]);
+        let filtered = filter_level_borders(&bricks, &borders, &|_| Some([20.0, 21.0]));
+        for t in 0..8 {
+            let t = f64::from(t);
+            assert!((shown(&filtered[1], [16.0, t, 7.5 - t / 2.0]) - 20.0).abs() < 1e-3);
+            let place = [17.0 + t / 2.0, t, t];
+            assert!((shown(&filtered[1], place) - shown(&bricks[1], place)).abs() < 1e-3);
+        }
+    }
+}
