@@ -74,7 +74,10 @@ pub fn filter_level_borders(
     for of_level in order.chunk_by(|&a, &b| bricks[a].node.level == bricks[b].node.level) {
         let changed: Vec<_> = of_level
             .par_iter()
-            .filter_map(|&i| changed_brick(&filtered, i, borders.coarser_than(i), ranges).map(|new| (i, new)))
+            .map_init(Changes::default, |changes, &i| {
+                Some((i, changed_brick(&filtered, i, borders.coarser_than(i), ranges, changes)?))
+            })
+            .flatten()
             .collect();
         for (i, brick) in changed {
             filtered[i].how = DrawHow::Samples(Arc::new(brick));
@@ -89,29 +92,42 @@ fn changed_brick(
     entry: usize,
     coarser: &[usize],
     ranges: &(dyn Fn(usize) -> Option<[f64; 2]> + Sync),
+    changes: &mut Changes,
 ) -> Option<PreparedBrick> {
     let DrawBrick { node, region, how: DrawHow::Samples(prepared) } = &bricks[entry] else { return None };
-    let mut changes: HashMap<usize, f64> = HashMap::new();
+    changes.begin(prepared.layout());
     for &other in coarser {
         let neighbour = &bricks[other];
-        let value_at: Box<dyn Fn([f64; 3], f64) -> Option<f64>> = match &neighbour.how {
-            DrawHow::Samples(coarse) => {
-                let field = CoarseField::new(coarse, neighbour.node);
-                Box::new(move |voxel, _| field.at(voxel))
-            }
-            _ => match ranges(other) {
-                Some([low, high]) => Box::new(move |_, own| Some(own.max(low).min(high))),
-                None => continue,
-            },
-        };
-        for (index, voxel) in shared_samples(*node, *region, neighbour.region, prepared.layout()) {
-            let own = changes.get(&index).copied().unwrap_or_else(|| prepared.value(index));
-            if let Some(value) = value_at(voxel, own).filter(|value| *value != own) {
-                changes.insert(index, value);
-            }
+        let shared = Shared::new(*node, *region, neighbour.region, prepared.layout());
+        match (&neighbour.how, ranges(other)) {
+            (DrawHow::Samples(coarse), _) => shared.take(&CoarseField::new(coarse, neighbour.node), changes),
+            (_, Some(range)) => shared.clamp(prepared, range, changes),
+            (_, None) => {}
         }
     }
-    (!changes.is_empty()).then(|| prepared.with_values(&changes))
+    (!changes.changed.is_empty()).then(|| prepared.with_values(&changes.changed, &changes.values))
+}
+
+/// The values that samples of a brick change to.
+#[derive(Default)]
+struct Changes {
+    /// NaN where one stays.
+    values: Vec<f64>,
+    changed: Vec<usize>,
+}
+
+impl Changes {
+    fn begin(&mut self, layout: &BrickLayout) {
+        self.changed.drain(..).for_each(|index| self.values[index] = f64::NAN);
+        self.values.resize(layout.num_full(), f64::NAN);
+    }
+
+    fn set(&mut self, index: usize, value: f64) {
+        if self.values[index].is_nan() {
+            self.changed.push(index);
+        }
+        self.values[index] = value;
+    }
 }
 
 /// The box around the samples of a node that its drawing in `region` may use, voxels of level 0.
@@ -123,27 +139,62 @@ fn reach(node: NodeId, region: [[f64; 3]; 2], layout: &BrickLayout) -> [[f64; 3]
     ]
 }
 
-/// The samples of a node that lie in the closed box of a neighbour, with their places in voxels of level 0.
-fn shared_samples(
-    node: NodeId,
-    region: [[f64; 3]; 2],
-    neighbour: [[f64; 3]; 2],
-    layout: &BrickLayout,
-) -> impl Iterator<Item = (usize, [f64; 3])> {
-    let scale = (1u64 << node.level) as f64;
-    let reach = reach(node, region, layout);
-    let full = layout.full_edge();
-    let first = node.brick().map(|b| f64::from(b) * layout.edge as f64 - layout.low as f64);
-    let [x, y, z] = [0, 1, 2].map(|a| {
-        let from = (reach[0][a].max(neighbour[0][a]) / scale).ceil() - first[a];
-        let to = (reach[1][a].min(neighbour[1][a]) / scale).floor() - first[a];
-        from.max(0.0) as usize..((to + 1.0).max(0.0) as usize).min(full)
-    });
-    let place = move |i: [usize; 3]| std::array::from_fn(|a| (first[a] + i[a] as f64) * scale);
-    z.flat_map(move |k| {
-        let x = x.clone();
-        y.clone().flat_map(move |j| x.clone().map(move |i| (i + full * (j + full * k), place([i, j, k]))))
-    })
+/// The samples of a node that lie in the closed box of a neighbour: ranges along the axes of its full brick.
+struct Shared {
+    along: [Range<usize>; 3],
+    full: usize,
+    /// Of the full brick's first sample, in samples of the node.
+    first: [f64; 3],
+    scale: f64,
+}
+
+impl Shared {
+    fn new(node: NodeId, region: [[f64; 3]; 2], neighbour: [[f64; 3]; 2], layout: &BrickLayout) -> Self {
+        let scale = (1u64 << node.level) as f64;
+        let reach = reach(node, region, layout);
+        let full = layout.full_edge();
+        let first = node.brick().map(|b| f64::from(b) * layout.edge as f64 - layout.low as f64);
+        let along = std::array::from_fn(|a| {
+            let from = (reach[0][a].max(neighbour[0][a]) / scale).ceil() - first[a];
+            let to = (reach[1][a].min(neighbour[1][a]) / scale).floor() - first[a];
+            from.max(0.0) as usize..((to + 1.0).max(0.0) as usize).min(full)
+        });
+        Self { along, full, first, scale }
+    }
+
+    /// The values of a coarser brick.
+    fn take(&self, coarse: &CoarseField<'_>, changes: &mut Changes) {
+        let [x, y, z] = [0, 1, 2].map(|a| {
+            let place = |i: usize| coarse.along(a, (self.first[a] + i as f64) * self.scale);
+            self.along[a].clone().map(|i| (i, place(i))).collect::<Vec<_>>()
+        });
+        for &(k, at_z) in &z {
+            for &(j, at_y) in &y {
+                for &(i, at_x) in &x {
+                    if let Some(value) = coarse.between([at_x, at_y, at_z]) {
+                        changes.set(i + self.full * (j + self.full * k), value);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The own values, within a range.
+    fn clamp(&self, prepared: &PreparedBrick, [low, high]: [f64; 2], changes: &mut Changes) {
+        let [x, y, z] = &self.along;
+        for k in z.clone() {
+            for j in y.clone() {
+                for i in x.clone() {
+                    let index = i + self.full * (j + self.full * k);
+                    let changed = changes.values[index];
+                    let own = if changed.is_nan() { prepared.value(index) } else { changed };
+                    if !(low..=high).contains(&own) {
+                        changes.set(index, own.max(low).min(high));
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// A coarse brick as it is drawn: what it interpolates.
@@ -153,6 +204,9 @@ struct CoarseField<'a> {
     per_voxel: f64,
 }
 
+/// A place along an axis: the sample before it, in the full brick, and the weight of the one after it.
+type Along = (usize, f64);
+
 impl<'a> CoarseField<'a> {
     fn new(brick: &'a PreparedBrick, node: NodeId) -> Self {
         let edge = brick.layout().edge as f64;
@@ -160,28 +214,34 @@ impl<'a> CoarseField<'a> {
         Self { brick, origin, per_voxel: 1.0 / (1u64 << node.level) as f64 }
     }
 
-    /// The value at a place in its box; `None` where a masked sample has a part in it.
-    fn at(&self, voxel: [f64; 3]) -> Option<f64> {
+    /// Where a coordinate of its box lies, in voxels of level 0.
+    fn along(&self, axis: usize, voxel: f64) -> Along {
         let layout = self.brick.layout();
-        let place: [f64; 3] = std::array::from_fn(|a| voxel[a] * self.per_voxel - self.origin[a]);
-        let cell = place.map(|p| p.floor().clamp(0.0, (layout.edge - 1) as f64));
-        let weight: [f64; 3] = std::array::from_fn(|a| place[a] - cell[a]);
-        let mut value = 0.0;
-        for corner in 0..8 {
-            let bits = [corner & 1, corner >> 1 & 1, corner >> 2];
-            let of_axis = |a: usize| if bits[a] == 1 { weight[a] } else { 1.0 - weight[a] };
-            let w = of_axis(0) * of_axis(1) * of_axis(2);
-            if w == 0.0 {
-                continue;
+        let place = voxel * self.per_voxel - self.origin[axis];
+        let cell = place.floor().clamp(0.0, (layout.edge - 1) as f64);
+        (cell as usize + layout.low, place - cell)
+    }
+
+    /// The value at a place; `None` where a masked sample has a part in it.
+    fn between(&self, [x, y, z]: [Along; 3]) -> Option<f64> {
+        let full = self.brick.layout().full_edge();
+        let first = x.0 + full * (y.0 + full * z.0);
+        let mut sum = 0.0;
+        for (dz, wz) in [(0, 1.0 - z.1), (full * full, z.1)] {
+            for (dy, wy) in [(0, 1.0 - y.1), (full, y.1)] {
+                if wz * wy == 0.0 {
+                    continue;
+                }
+                for (dx, wx) in [(0, 1.0 - x.1), (1, x.1)] {
+                    let (index, weight) = (first + dx + dy + dz, wx * wy * wz);
+                    if weight != 0.0 && self.brick.mask.as_ref().is_some_and(|mask| mask.get(index)) {
+                        return None;
+                    }
+                    sum += weight * f64::from(self.brick.samples[index]);
+                }
             }
-            let [i, j, k] = [0, 1, 2].map(|a| cell[a] as usize + bits[a] + layout.low);
-            let index = i + layout.full_edge() * (j + layout.full_edge() * k);
-            if self.brick.mask.as_ref().is_some_and(|mask| mask.get(index)) {
-                return None;
-            }
-            value += w * self.brick.value(index);
         }
-        Some(value)
+        Some(self.brick.offset + self.brick.scale * sum)
     }
 }
 
@@ -338,7 +398,8 @@ mod tests {
 
     /// What a brick shows at a place of its box.
     fn shown(brick: &DrawBrick, place: [f64; 3]) -> f64 {
-        CoarseField::new(prepared(brick), brick.node).at(place).unwrap()
+        let field = CoarseField::new(prepared(brick), brick.node);
+        field.between(std::array::from_fn(|a| field.along(a, place[a]))).unwrap()
     }
 
     /// The largest difference at places that two bricks' boxes share, between those of which `is_wanted`.

@@ -1,7 +1,5 @@
 //! Resident bricks in the form that the CPU ray caster reads.
 
-use std::collections::HashMap;
-
 use chronoxel_core::{BitMask, BrickLayout, ResidentBrick};
 
 use crate::RenderError;
@@ -64,26 +62,27 @@ impl PreparedBrick {
     /// The same brick with other values at some samples. Where its steps cannot tell them, all samples are rounded to new steps over the
     /// wider range.
     ///
-    /// * `changes`: indices and finite values
-    pub(crate) fn with_values(&self, changes: &HashMap<usize, f64>) -> Self {
+    /// * `changed`: indices of those samples
+    /// * `values`: one per sample, finite where it is changed
+    pub(crate) fn with_values(&self, changed: &[usize], values: &[f64]) -> Self {
         let fits = |value: f64| {
             let step = ((value - self.offset) / self.scale).round();
             step >= f64::from(i16::MIN) && step <= f64::from(i16::MAX)
         };
         let (mut offset, mut scale, mut samples) = (self.offset, self.scale, self.samples.clone());
-        if !changes.values().all(|value| fits(*value)) {
+        if !changed.iter().all(|&index| fits(values[index])) {
             let ends = [samples.iter().min(), samples.iter().max()];
             let ends = ends.map(|step| self.offset + self.scale * f64::from(*step.unwrap_or(&0)));
-            let all = changes.values().chain(&ends);
+            let all = changed.iter().map(|&index| values[index]).chain(ends);
             let [low, high] =
-                all.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(*v), high.max(*v)]);
+                all.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)]);
             (offset, scale) = (0.5 * low + 0.5 * high, (0.5 * high - 0.5 * low) / 32767.0);
             let per_step = self.scale / scale;
             let shift = (self.offset - offset) / scale;
             samples.iter_mut().for_each(|s| *s = (shift + per_step * f64::from(*s)).round() as i16);
         }
-        for (&index, &value) in changes {
-            samples[index] = ((value - offset) / scale).round() as i16;
+        for &index in changed {
+            samples[index] = ((values[index] - offset) / scale).round() as i16;
         }
         let block_ranges = block_ranges(&samples, &self.layout);
         let range = extent_of(&block_ranges);

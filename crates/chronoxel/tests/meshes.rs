@@ -131,9 +131,7 @@ fn shells(store: &Path, level_borders: LevelBorders, memory_bytes: u64) -> Image
     let points = [&ends[..1], &points, &ends[1..]].concat();
     let view = View {
         camera: orbit_camera(&session.store().header().grid, [215.0, -25.0], 1.2, Some(30.0), size).unwrap(),
-        transfer: session
-            .resolve(&TransferFunction::new(points, TransferDomain::Variable).unwrap())
-            .unwrap(),
+        transfer: session.resolve(&TransferFunction::new(points, TransferDomain::Variable).unwrap()).unwrap(),
         size,
         step_voxels: 0.5,
         lighting: None,
