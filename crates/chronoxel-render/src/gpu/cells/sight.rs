@@ -340,7 +340,13 @@ impl Sight {
     /// Makes room for points of the mesh and of cuts; says whether what was there is lost.
     fn hold_corners(&mut self, device: &Device, num_cuts: usize) -> Result<bool, GpuError> {
         let bytes = 16 * (u64::from(self.data.num_points) + num_cuts as u64);
-        hold(device, &mut self.corners, "projected points", bytes, wgpu::BufferUsages::COPY_DST)
+        hold(
+            device,
+            &mut self.corners,
+            "projected points",
+            bytes,
+            wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+        )
     }
 
     /// Lists the faces of some rows of tiles; says whether there is room for it.

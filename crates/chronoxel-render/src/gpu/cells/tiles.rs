@@ -19,6 +19,9 @@ use crate::gpu::{GpuError, import};
 
 /// Bytes of the counts.
 const COUNTS_BYTES: u64 = 32;
+/// The most faces of a tile that programs on the CPU draw: their loops end after 2^16 rounds in all, and a batch of 64
+/// takes up to 140.
+const MOST_SOFTWARE_FACES: u32 = 28_000;
 /// Bytes of what light does, two entries in a row.
 const LIGHT_BYTES: u64 = 16 * 256;
 
@@ -154,7 +157,7 @@ impl Tiles {
     /// What was counted since the picture was begun.
     ///
     /// # Errors
-    /// [`GpuError::Setup`] if the driver ended a loop before its end.
+    /// [`GpuError::Setup`] if a tile had more faces than the driver can go through.
     pub fn finish(&self, device: &Device) -> Result<Counts, GpuError> {
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         encoder.copy_buffer_to_buffer(&self.counts.raw, 0, &self.counts_read.raw, 0, COUNTS_BYTES);
@@ -163,8 +166,9 @@ impl Tiles {
         device.read(&self.counts_read.raw, COUNTS_BYTES, |bytes| words.copy_from_slice(cast_slice(bytes)))?;
         if words[4] > 0 {
             let adapter = device.info.name.clone();
-            let reason = "it drew no more than 2^16 faces of a tile: draw fewer faces or a larger picture";
-            return Err(GpuError::Setup { adapter, reason: reason.into() });
+            let reason =
+                format!("a tile has over {MOST_SOFTWARE_FACES} faces: draw fewer or a larger picture");
+            return Err(GpuError::Setup { adapter, reason });
         }
         let count = |at: usize| u64::from(words[at]) | u64::from(words[at + 1]) << 32;
         Ok(Counts { fragments: count(0), misordered: count(2) })
@@ -174,6 +178,7 @@ impl Tiles {
 fn new_pass(device: &Device, k: usize, [lit, perspective]: [bool; 2]) -> Result<Pass, GpuError> {
     let [read, write] = [storage(true), storage(false)];
     let bindings = [uniform(false), uniform(false), read, read, read, read, read, read, write, write];
+    let most_faces = if device.info.is_software { MOST_SOFTWARE_FACES } else { u32::MAX };
     let constants = [
         ("K", k as f64),
         ("LIT", f64::from(u8::from(lit))),
@@ -183,6 +188,7 @@ fn new_pass(device: &Device, k: usize, [lit, perspective]: [bool; 2]) -> Result<
         ("NO_VALUE", NO_VALUE.into()),
         ("LEAST_PART", LEAST_PART.into()),
         ("MOST_PART", MOST_PART.into()),
+        ("MOST_FACES", most_faces.into()),
     ];
     Pass::new(device, "tiles.wgsl", "main", import::CELL_TILES, &bindings, &constants)
 }

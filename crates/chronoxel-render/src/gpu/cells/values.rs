@@ -310,3 +310,90 @@ fn decode_on_cpu(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use chronoxel_codec::{CellCodecOptions, encode_cells};
+    use chronoxel_core::{Camera, ColorMap, TransferFunction};
+
+    use super::*;
+    use crate::cells::{CellMesh, CellScene};
+    use crate::gpu::cells::{GpuCellOptions, GpuCellRenderer};
+    use crate::gpu::{GpuOptions, twins};
+
+    const NUM_POINTS: usize = 700;
+
+    /// Indices of the table that the points were given.
+    fn indices(gpu: &GpuCellRenderer) -> Vec<f32> {
+        use wgpu::BufferUsages as Usage;
+        let bytes = 16 * NUM_POINTS as u64;
+        let to = gpu.device.buffer("read", bytes, Usage::COPY_DST | Usage::MAP_READ).unwrap();
+        let mut encoder = gpu.device.raw.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(&gpu.sight.corners().raw, 0, &to.raw, 0, bytes);
+        gpu.device.queue.submit([encoder.finish()]);
+        let mut found = Vec::new();
+        let take = |b: &[u8]| found.extend(cast_slice::<u8, [f32; 4]>(b).iter().map(|corner| corner[3]));
+        gpu.device.read(&to.raw, bytes, take).unwrap();
+        found
+    }
+
+    fn mesh() -> Arc<CellMesh> {
+        let place = |i: usize| [i as f64, f64::from(i.is_multiple_of(2)), f64::from(i.is_multiple_of(3))];
+        let cells: Vec<[u32; 4]> = (3..NUM_POINTS as u32).map(|i| [i - 3, i - 2, i - 1, i]).collect();
+        Arc::new(CellMesh::new((0..NUM_POINTS).map(place).collect(), &cells).unwrap())
+    }
+
+    fn payload(offset: f32, entries: usize) -> Arc<Payload> {
+        let value = |t: usize, i: usize| offset + (0.3 * i as f32 + 0.1 * t as f32).sin();
+        let steps: Vec<Vec<f32>> = (0..64).map(|t| (0..NUM_POINTS).map(|i| value(t, i)).collect()).collect();
+        let borrowed: Vec<&[f32]> = steps.iter().map(Vec::as_slice).collect();
+        let options = CellCodecOptions { entries, max_error: None };
+        Arc::new(encode_cells(&borrowed, &options).unwrap().remove(0).payload)
+    }
+
+    #[test]
+    fn indices_are_those_of_the_values_decoded_on_the_cpu() {
+        if twins::device().is_none() {
+            return;
+        }
+        let mesh = mesh();
+        let memory = GpuOptions { memory_bytes: 64 << 20, ..Default::default() };
+        let function = TransferFunction::built_in("ramp", ColorMap::Gray).unwrap();
+        for (offset, entries) in [(0.0f32, 16), (101_325.0, 16), (0.5, 300)] {
+            let payload = payload(offset, entries);
+            let range = [-1.0, 1.0].map(|v| v + f64::from(offset));
+            let scene = CellScene {
+                camera: Camera::orbit(mesh.bounds(), 0.0, 0.0, 1.0, None, 1.0).unwrap(),
+                transfer: function.resolve(range).unwrap(),
+                size: [16, 16],
+                lighting: None,
+                opacity_unit: 1.0,
+                value_range: range,
+            };
+            let mut gpu =
+                GpuCellRenderer::new(Arc::clone(&mesh), &memory, GpuCellOptions::default()).unwrap();
+            for step_in_span in [0, 7, 63] {
+                let mut values = vec![0.0; NUM_POINTS];
+                decode_points(&payload, step_in_span, &mut values).unwrap();
+                let coded = GpuCellValues::Coded {
+                    payload: Arc::clone(&payload),
+                    key: 7,
+                    step_in_span,
+                    missing: None,
+                };
+                // What 32 bits tell apart, in the range of the values, which is 2: the indices' roundings, and for coded
+                // values those of their sums; the CPU's values themselves are rounded where they are large.
+                let of_value = offset.abs() * f32::EPSILON * 0.5;
+                let bounds = [1.5 * f32::EPSILON, 4.0 * f32::EPSILON + of_value];
+                for (given, bound) in [GpuCellValues::Decoded(&values), coded].iter().zip(bounds) {
+                    gpu.render(&scene, given).unwrap();
+                    for (found, value) in indices(&gpu).into_iter().zip(&values) {
+                        let expected = (f64::from(*value) - range[0]) / 2.0;
+                        let difference = (f64::from(found) / 254.0 - expected).abs();
+                        assert!(difference <= bound.into(), "{offset} {step_in_span}: {difference} {bound}");
+                    }
+                }
+            }
+        }
+    }
+}

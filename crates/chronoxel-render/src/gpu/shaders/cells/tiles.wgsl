@@ -18,6 +18,9 @@ override NO_VALUE: u32;
 override LEAST_PART: f32;
 override MOST_PART: f32;
 
+// The most faces of a tile: programs on the CPU end loops after a number of rounds.
+override MOST_FACES: u32;
+
 // Faces that are set up together.
 const BATCH: u32 = 64u;
 // Nearer than everything.
@@ -36,7 +39,7 @@ const NOWHERE: f32 = -3e38;
 @group(0) @binding(7) var<storage, read> colors: array<vec4<f32>>;
 // Red, green and blue multiplied by alpha, and transmittance, row by row.
 @group(0) @binding(8) var<storage, read_write> gathered: array<vec4<f32>>;
-// Fragments and misordered ones, each in two words; tiles that were not finished.
+// Fragments and misordered ones, each in two words; tiles of too many faces.
 @group(0) @binding(9) var<storage, read_write> counts: array<atomic<u32>, 8>;
 
 // A face as its pixels need it.
@@ -61,7 +64,7 @@ var<workgroup> batch: array<Setup, BATCH>;
 // For each pixel, which faces of the batch cover it, in two words.
 var<workgroup> covering: array<atomic<u32>, 128>;
 var<workgroup> is_left: u32;
-var<workgroup> tile_counts: array<atomic<u32>, 3>;
+var<workgroup> tile_counts: array<atomic<u32>, 2>;
 
 struct Fragment {
     depth: f32,
@@ -87,10 +90,10 @@ fn linear(at: vec3<f32>, per_area: f32) -> vec3<f32> {
     return vec3<f32>(at.x, (at.z - at.x) * per_area, (at.x - at.y) * per_area);
 }
 
-// Sets up a face of the batch, and finds the pixels of the tile that it covers; says whether it found all.
+// Sets up a face of the batch, and finds the pixels of the tile that it covers.
 //
 // origin: the first pixel of the tile
-fn set_up(face: u32, number: u32, origin: vec2<f32>) -> bool {
+fn set_up(face: u32, number: u32, origin: vec2<f32>) {
     let words = vec3<u32>(faces[3u * face], faces[3u * face + 1u], faces[3u * face + 2u]);
     let points = vec3<u32>(words.x & POINT_BITS, words.yz);
     let a = corners[points.x];
@@ -128,11 +131,11 @@ fn set_up(face: u32, number: u32, origin: vec2<f32>) -> bool {
         setup.cosine = linear(of_points * weights, per_area);
     }
     batch[number] = setup;
-    return cover(array<vec2<f32>, 3>(a.xy, b.xy, c.xy), number, origin);
+    cover(array<vec2<f32>, 3>(a.xy, b.xy, c.xy), number, origin);
 }
 
-// Notes which pixels of the tile a face covers; says whether it looked at all of its box.
-fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) -> bool {
+// Notes which pixels of the tile a face covers.
+fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) {
     let ab = places[1] - places[0];
     let bc = places[2] - places[1];
     let ac = places[2] - places[0];
@@ -143,11 +146,8 @@ fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) -> bool {
     let last = min(floor(high - 0.5), origin + f32(TILE - 1u));
     let word = number >> 5u;
     let bit = 1u << (number & 31u);
-    var is_row_done = true;
-    var y = first.y;
-    while y <= last.y {
-        var x = first.x;
-        while x <= last.x {
+    for (var y = first.y; y <= last.y; y += 1.0) {
+        for (var x = first.x; x <= last.x; x += 1.0) {
             let centre = vec2<f32>(x, y) + 0.5;
             let signs = vec3<u32>(
                 bitcast<u32>(edge(places[0], ab, centre)),
@@ -159,12 +159,8 @@ fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) -> bool {
                 let place = vec2<u32>(vec2<f32>(x, y) - origin);
                 atomicOr(&covering[2u * (place.y * TILE + place.x) + word], bit);
             }
-            x += 1.0;
         }
-        is_row_done = is_row_done && x > last.x;
-        y += 1.0;
     }
-    return is_row_done && y > last.y;
 }
 
 // An edge function: the same bits for both faces at the edge, which begins at its point of the lower number.
@@ -369,9 +365,12 @@ fn main(
     if column >= sight.num_columns || row >= sight.num_rows {
         pixel.transmittance = 0.0;
     }
-    let end = starts[tile + 1u];
+    var end = starts[tile + 1u];
     var first = starts[tile];
-    var is_finished = true;
+    let is_too_long = end - first > MOST_FACES;
+    if is_too_long {
+        end = first;
+    }
     while first < end {
         if local == 0u {
             is_left = 0u;
@@ -381,8 +380,7 @@ fn main(
         workgroupBarrier();
         if first + local < end {
             let origin = vec2<f32>(f32(group.x * TILE), f32(row - place.y));
-            let has_all = set_up(pairs[first + local].y, local, origin);
-            is_finished = is_finished && has_all;
+            set_up(pairs[first + local].y, local, origin);
         }
         workgroupBarrier();
         for (var word = 0u; word < 2u; word++) {
@@ -391,7 +389,6 @@ fn main(
                 draw(&pixel, 32u * word + firstTrailingBit(bits), centre);
                 bits &= bits - 1u;
             }
-            is_finished = is_finished && (bits == 0u || pixel.transmittance < LEAST_TRANSMITTANCE);
         }
         if pixel.transmittance >= LEAST_TRANSMITTANCE {
             is_left = 1u;
@@ -402,20 +399,18 @@ fn main(
             first = end;
         }
     }
-    is_finished = is_finished && first >= end;
     flush(&pixel);
     if column < sight.num_columns && row < sight.num_rows {
         let at = (row - sight.first_row) * sight.num_columns + column;
         gathered[at] = vec4<f32>(pixel.color, pixel.transmittance);
         atomicAdd(&tile_counts[0], pixel.num_fragments);
         atomicAdd(&tile_counts[1], pixel.num_misordered);
-        atomicAdd(&tile_counts[2], u32(!is_finished));
     }
     workgroupBarrier();
     if local == 0u {
         add_count(0u, atomicLoad(&tile_counts[0]));
         add_count(2u, atomicLoad(&tile_counts[1]));
-        atomicAdd(&counts[4], atomicLoad(&tile_counts[2]));
+        atomicAdd(&counts[4], u32(is_too_long));
     }
 }
 
