@@ -3,6 +3,7 @@
 //! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast, and `gpu` (a feature, on by
 //! default) makes it on the GPU. [`cells`] draws tetrahedra as they are. None knows of files or stores.
 
+pub mod borders;
 pub mod cells;
 pub mod cpu;
 pub mod error;
@@ -13,6 +14,7 @@ pub mod reference;
 pub mod scene;
 pub mod slices;
 
+pub use borders::{LevelBorders, filter_level_borders};
 pub use cells::{
     CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, FaceOrder, Variation,
     render_cells_reference, static_importance,

@@ -222,9 +222,11 @@ impl CellStore {
         record: &CellSpanRecord,
     ) -> Result<Arc<CellPayload>, StoreError> {
         self.check_variable(variable)?;
-        if record.start >= self.header.num_steps_finished || self.span_at(variable, record.start)? != *record
+        let place = |record: &CellSpanRecord| (record.start, record.len, record.class, record.mask);
+        if record.start >= self.header.num_steps_finished
+            || place(&self.span_at(variable, record.start)?) != place(record)
         {
-            let value = format!("steps {} to {}", record.start, record.start + record.len - 1);
+            let value = format!("{} steps from step {} on", record.len, record.start);
             return Err(StoreError::invalid("span", value, "it is not one of this store's"));
         }
         let class = &self.header.variables[variable].classes[usize::from(record.class)];

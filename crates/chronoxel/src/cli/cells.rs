@@ -111,6 +111,7 @@ impl ViewArgs {
         let of_bricks = [
             ("--step", self.step.is_some()),
             ("--interpolation", self.interpolation.is_some()),
+            ("--level-borders", self.level_borders.is_some()),
             ("--level", self.level.is_some()),
             ("--metric", self.coherence.metric.is_some()),
             ("--spatial-tolerance", self.coherence.spatial_tolerance > 0.0),

@@ -16,7 +16,7 @@ use super::cells::CellArgs;
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
     bytes::ByteSize,
-    session::{CoherenceView, Metric, Moment, Picture, Session, View, orbit_camera_of},
+    session::{CoherenceView, LevelBorders, Metric, Moment, Picture, Session, View, orbit_camera_of},
 };
 
 /// Options of `render`, `movie` and `play`.
@@ -55,6 +55,9 @@ pub struct ViewArgs {
     /// Finest octree level to draw; 0 is full resolution [default: 0]
     #[arg(long, value_name = "N")]
     pub level: Option<u8>,
+    /// How bricks of different levels meet: each by its own samples, or filtered so that no seam shows (on the CPU) [default: sharp]
+    #[arg(long, value_name = "HOW")]
+    pub level_borders: Option<LevelBordersName>,
     #[command(flatten)]
     pub coherence: CoherenceArgs,
     /// Background: a name, #RRGGBB, or transparent
@@ -186,6 +189,15 @@ pub enum InterpolationName {
     Color,
 }
 
+/// How bricks of different levels meet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LevelBordersName {
+    /// Each as it interpolates its own samples.
+    Sharp,
+    /// Without a jump.
+    Filtered,
+}
+
 /// What was chosen to draw, and why.
 #[derive(Debug, Clone)]
 pub struct ChosenBackend {
@@ -253,6 +265,11 @@ impl ViewArgs {
             method == chronoxel_render::Method::Raycast || interpolation == Interpolation::Scalar,
             "--interpolation color is for rays: leave out --method slices"
         );
+        let filters = self.level_borders == Some(LevelBordersName::Filtered);
+        anyhow::ensure!(
+            !filters || !(needs_gpu || self.backend == Backend::Gpu),
+            "--level-borders filtered is for rays on the CPU: leave out --backend gpu, --method slices and --interpolation color"
+        );
         let cpu = |reason: String| {
             anyhow::ensure!(
                 !needs_gpu,
@@ -267,6 +284,7 @@ impl ViewArgs {
         };
         match self.backend {
             Backend::Cpu => cpu("asked for".into()),
+            Backend::Auto if filters => cpu("--level-borders filtered is for the CPU".into()),
             Backend::Gpu => gpu("asked for".into()),
             Backend::Auto => match GpuRenderer::adapter(&options) {
                 Ok(info) if info.is_software && interpolation == Interpolation::Scalar => cpu(format!(
@@ -305,6 +323,10 @@ impl ViewArgs {
             opacity_unit: self.transfer.opacity_unit.unwrap_or(session.store().header().opacity_unit()),
             level,
             coherence: self.coherence.view(),
+            level_borders: match self.level_borders {
+                None | Some(LevelBordersName::Sharp) => LevelBorders::Sharp,
+                Some(LevelBordersName::Filtered) => LevelBorders::Filtered,
+            },
         })
     }
 

@@ -4,6 +4,7 @@
 //! over a budget of bytes; where the bricks of one picture exceed it, they are drawn in portions, so
 //! that a volume of any size can be drawn at full resolution.
 
+mod borders;
 mod bricks;
 mod cells;
 mod gpu;
@@ -53,6 +54,18 @@ pub struct View {
     pub level: u8,
     /// Coherence in space and time to make use of; without it each step is drawn by itself.
     pub coherence: Option<CoherenceView>,
+    /// How bricks of different levels meet.
+    pub level_borders: LevelBorders,
+}
+
+/// How bricks of different levels meet, in stores with an adaptive tree and where a player draws some parts finer than others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LevelBorders {
+    /// Each as it interpolates its own samples.
+    #[default]
+    Sharp,
+    /// Without a jump: the finer takes the values of the coarser on what they share. On the CPU.
+    Filtered,
 }
 
 /// A moment of a series: a step, or a place between it and the next.
@@ -342,6 +355,10 @@ impl Session {
             let [width, height] = view.size;
             bail!("--size {width}x{height} takes {picture_bytes} bytes, more than --memory allows; raise it");
         }
+        anyhow::ensure!(
+            view.level_borders == LevelBorders::Sharp || self.on_gpu.is_none(),
+            "levels are filtered at their borders on the CPU: take --backend cpu, or --level-borders sharp"
+        );
         let start = Instant::now();
         let mut faults = Faults::default();
         let items = self.select(view, step as u32, weight, &mut faults, None)?;
@@ -489,7 +506,9 @@ impl Session {
             faults,
             fetch_ms: 0.0,
         };
-        if self.images.are_kept() && weight == 0.0 {
+        if view.level_borders == LevelBorders::Filtered {
+            self.draw_filtered(items, step, weight, &mut drawing)?;
+        } else if self.images.are_kept() && weight == 0.0 {
             self.draw_parts(view, step, items, &mut drawing)?;
         } else {
             self.draw_items(items, step, weight, &mut drawing)?;
