@@ -189,6 +189,33 @@ fn what_is_written_is_read() {
     assert_eq!(problems_of(&path), [] as [&str; 0]);
 }
 
+/// The committed store of this version, which is read forever. Made by [`write`] with `CHRONOXEL_MAKE_FIXTURE` set.
+#[test]
+fn the_fixture_is_read() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cells/v1.cxl");
+    if std::env::var_os("CHRONOXEL_MAKE_FIXTURE").is_some() {
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write(&path, 70);
+    }
+    assert_eq!(problems_of(&path), [] as [&str; 0]);
+    let store = CellStore::open(&path).unwrap();
+    assert_eq!(store.read_geometry().unwrap(), geometry());
+    let mut values = vec![0.0; NUM_POINTS];
+    for step in 0..70 {
+        let record = store.span_at(0, step).unwrap();
+        store.read_span(0, &record).unwrap().decode(step, &mut values).unwrap();
+        let expected: Vec<f32> = (0..NUM_POINTS).map(|p| value(p, step as usize % 64)).collect();
+        assert_eq!(values, expected);
+    }
+    // The worked example of the format's page.
+    let record = store.span_at(1, 69).unwrap();
+    assert_eq!((record.start, record.len, record.class, record.mask), (68, 2, 4, Some(64)));
+    store.read_span(1, &record).unwrap().decode(69, &mut values).unwrap();
+    assert_eq!(values[5], 15.5);
+    assert!(values[3].is_nan() && !values[4].is_nan());
+}
+
 #[test]
 fn a_store_within_a_store_of_bricks_is_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -279,7 +306,7 @@ fn a_flipped_byte_anywhere_is_found() {
     let mut num_flips = 0;
     for (name, bytes) in files_of(&path) {
         let file = path.join(&name);
-        let stride = (bytes.len() / 30).max(1);
+        let stride = (bytes.len() / 12).max(1);
         let near_end = bytes.len().saturating_sub(20);
         for at in (0..bytes.len()).filter(|at| at % stride == 0 || *at >= near_end) {
             let mut damaged = bytes.clone();
@@ -298,7 +325,7 @@ fn a_flipped_byte_anywhere_is_found() {
         assert!(!problems_of(&path).is_empty(), "{} lost", name.display());
         fs::write(&file, &bytes).unwrap();
     }
-    assert!(num_flips > 1500, "{num_flips}");
+    assert!(num_flips > 800, "{num_flips}");
     assert_eq!(problems_of(&path), [] as [&str; 0]);
     fs::write(path.join("variable-0/C0/S0/c.2.0"), "x").unwrap();
     assert!(problems_of(&path)[0].contains("unexpected"));

@@ -14,7 +14,7 @@ fn encoded(folder: &Path) -> PathBuf {
     let store = folder.join("twist.cxl");
     let source = [format!("sim:twist?dims=9&steps={NUM_STEPS}")];
     let mut mesh = sources::open_mesh(&source, &Default::default()).unwrap();
-    chronoxel_ingest::encode_cells(mesh.as_mut(), &store, &Default::default(), &mut |_| {}).unwrap();
+    let options = EncodeOptions { variables: vec![], ..EncodeOptions::default() };
     store
 }
 
