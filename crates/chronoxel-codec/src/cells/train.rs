@@ -2,7 +2,7 @@
 
 use crate::vq::split::split;
 use crate::vq::{Entries, Nearest, Vectors, nearest};
-use crate::{Indices, Stage, Table};
+use crate::{Indices, Stage, Table, Workers};
 
 /// Points of a part: what one task takes, whatever the number of threads.
 pub const PART_POINTS: usize = 4096;
@@ -17,6 +17,7 @@ const FULL_ROUNDS: usize = 3;
 const LEAST_GAIN: f64 = 2e-3;
 
 /// One vector per point, in parts of [`PART_POINTS`], each `[t, point]`.
+#[derive(Clone)]
 pub(super) struct Parts {
     parts: Vec<Vec<f32>>,
     num_components: usize,
@@ -25,14 +26,16 @@ pub(super) struct Parts {
 
 impl Parts {
     /// The values of some steps.
-    pub fn new(steps: &[&[f32]]) -> Self {
+    pub fn new(steps: &[&[f32]], workers: &impl Workers) -> Self {
         let num_points = steps[0].len();
-        let part = |first: usize| {
+        let part = |first: &usize| {
             let end = num_points.min(first + PART_POINTS);
-            steps.iter().flat_map(|step| step[first..end].iter().copied()).collect()
+            let mut part = Vec::with_capacity(steps.len() * (end - first));
+            steps.iter().for_each(|step| part.extend_from_slice(&step[*first..end]));
+            part
         };
         let firsts: Vec<usize> = (0..num_points).step_by(PART_POINTS).collect();
-        Self { parts: firsts.into_iter().map(part).collect(), num_components: steps.len(), num_points }
+        Self { parts: workers.map(&firsts, part), num_components: steps.len(), num_points }
     }
 
     /// For each point the mean of its first components.
@@ -50,7 +53,7 @@ impl Parts {
     }
 
     /// Vectors of the means of every `num` components; the last may be of fewer.
-    pub fn means_of(&self, num: usize) -> Self {
+    pub fn means_of(&self, num: usize, workers: &impl Workers) -> Self {
         let of_part = |part: &Vec<f32>| {
             let len = part.len() / self.num_components;
             let mut means = Vec::with_capacity(len * self.num_components.div_ceil(num));
@@ -65,16 +68,16 @@ impl Parts {
             means
         };
         Self {
-            parts: self.parts.iter().map(of_part).collect(),
+            parts: workers.map(&self.parts, of_part),
             num_components: self.num_components.div_ceil(num),
             num_points: self.num_points,
         }
     }
 
     /// Takes away what a stage decodes to.
-    pub fn subtract(&mut self, stage: &Stage) {
+    pub fn subtract(&mut self, stage: &Stage, workers: &impl Workers) {
         let num_components = self.num_components;
-        self.parts.iter_mut().enumerate().for_each(|(number, part)| {
+        workers.for_each_mut(&mut self.parts, |number, part| {
             let len = part.len() / num_components;
             let first = number * PART_POINTS;
             for (t, component) in part.chunks_exact_mut(len).enumerate() {
@@ -97,10 +100,10 @@ impl Parts {
     }
 
     /// A stage with a table that is trained on the vectors.
-    pub fn code(&self, num_entries: usize, shift: u8) -> Stage {
-        let mut entries = self.train(num_entries);
+    pub fn code(&self, num_entries: usize, shift: u8, workers: &impl Workers) -> Stage {
+        let mut entries = self.train(num_entries, workers);
         let (offset, scale) = round_to_table(&mut entries.values);
-        let found = self.nearest(&entries);
+        let found = self.nearest(&entries, workers);
         let mut table = vec![0; entries.values.len()];
         for (e, entry) in entries.values.chunks_exact(self.num_components).enumerate() {
             for (t, &value) in entry.iter().enumerate() {
@@ -116,7 +119,7 @@ impl Parts {
         Stage { indices, table, shift }
     }
 
-    fn train(&self, num_entries: usize) -> Entries {
+    fn train(&self, num_entries: usize, workers: &impl Workers) -> Entries {
         let num_chosen = (TRAINED_PER_ENTRY * num_entries).max(LEAST_TRAINED);
         let stride = (self.num_points / num_chosen).max(1);
         let chosen = self.every(stride);
@@ -129,7 +132,7 @@ impl Parts {
         let mut entries = Entries { values: first, prices: vec![0.0; num_entries] };
         let mut last_cost = f64::INFINITY;
         for _ in 0..TRAINING_ROUNDS {
-            let cost = chosen.refine(&mut entries);
+            let cost = chosen.refine(&mut entries, workers);
             let stalled = cost >= last_cost * (1.0 - LEAST_GAIN);
             last_cost = cost;
             if stalled {
@@ -137,7 +140,7 @@ impl Parts {
             }
         }
         for _ in 0..FULL_ROUNDS {
-            self.refine(&mut entries);
+            self.refine(&mut entries, workers);
         }
         entries
     }
@@ -167,18 +170,18 @@ impl Parts {
         (0..self.num_points).flat_map(vector).collect()
     }
 
-    fn nearest(&self, entries: &Entries) -> Vec<Nearest> {
+    fn nearest(&self, entries: &Entries, workers: &impl Workers) -> Vec<Nearest> {
         let of_part = |part: &Vec<f32>| {
             nearest(Vectors { values: part, len: part.len() / self.num_components }, entries)
         };
-        self.parts.iter().map(of_part).collect()
+        workers.map(&self.parts, of_part)
     }
 
     /// One round of Lloyd's iteration; entries without vectors move to those of largest cost. Returns the cost before.
-    fn refine(&self, entries: &mut Entries) -> f64 {
-        let found = self.nearest(entries);
+    fn refine(&self, entries: &mut Entries, workers: &impl Workers) -> f64 {
+        let found = self.nearest(entries, workers);
         let num_entries = entries.prices.len();
-        let of_part = |(part, found): (&Vec<f32>, &Nearest)| {
+        let of_part = |(part, found): &(&Vec<f32>, &Nearest)| {
             let mut sums = vec![0.0f64; entries.values.len()];
             let mut counts = vec![0u32; num_entries];
             found.indices.iter().for_each(|&index| counts[usize::from(index)] += 1);
@@ -189,7 +192,8 @@ impl Parts {
             }
             (sums, counts)
         };
-        let of_parts: Vec<_> = self.parts.iter().zip(&found).map(of_part).collect();
+        let pairs: Vec<_> = self.parts.iter().zip(&found).collect();
+        let of_parts = workers.map(&pairs, of_part);
         let mut sums = vec![0.0f64; entries.values.len()];
         let mut counts = vec![0u32; num_entries];
         for (of_part, count) in &of_parts {

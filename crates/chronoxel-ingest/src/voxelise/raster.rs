@@ -16,8 +16,8 @@ use super::records::Tetrahedron;
 pub enum Wanted {
     /// Core and apron.
     All,
-    /// The apron: the core comes from elsewhere.
-    Apron,
+    /// The apron, and of the core what lies on its low faces, which neighbours share: the rest of the core comes from elsewhere.
+    Borders,
 }
 
 /// The samples of one brick, while tetrahedra come one after the other.
@@ -85,6 +85,11 @@ impl Raster {
         }
     }
 
+    /// Along an axis, samples of the core that no neighbour shares.
+    fn inner(&self) -> std::ops::Range<usize> {
+        self.low + 1..self.low + self.edge
+    }
+
     fn place(&self, axis: usize, index: usize) -> f64 {
         (self.first[axis] + index as i64) as f64 / self.per_root
     }
@@ -103,11 +108,11 @@ impl Raster {
                     continue;
                 };
                 let row = self.full * (y + self.full * z);
-                let core = self.low..self.low + self.edge;
-                let crosses_core = self.which == Wanted::Apron && core.contains(&y) && core.contains(&z);
+                let inner = self.inner();
+                let crosses_inner = self.which == Wanted::Borders && inner.contains(&y) && inner.contains(&z);
                 for x in first..=last {
                     let of_sample = &mut self.of_sample[row + x];
-                    if *of_sample == 0 && !(crosses_core && core.contains(&x)) {
+                    if *of_sample == 0 && !(crosses_inner && inner.contains(&x)) {
                         *of_sample = number;
                         is_filled = true;
                     }
@@ -163,14 +168,14 @@ impl Raster {
 
     /// What was found.
     pub fn finish(self) -> BrickMap {
-        let core = self.low..self.low + self.edge;
+        let inner = self.inner();
         let mut runs: Vec<u32> = Vec::new();
         for (r, row) in self.of_sample.chunks(self.full).enumerate() {
-            let crosses_core = self.which == Wanted::Apron
-                && core.contains(&(r % self.full))
-                && core.contains(&(r / self.full));
+            let crosses_inner = self.which == Wanted::Borders
+                && inner.contains(&(r % self.full))
+                && inner.contains(&(r / self.full));
             let owner = |x: usize| match row[x] {
-                0 if crosses_core && core.contains(&x) => OTHERWISE,
+                0 if crosses_inner && inner.contains(&x) => OTHERWISE,
                 0 => NO_TETRAHEDRON,
                 number => number - 1,
             };
@@ -276,15 +281,16 @@ mod tests {
                 let found = (owner != NO_TETRAHEDRON).then(|| map.tetrahedra[owner as usize]);
                 assert_eq!(found, expected[i].map(|k| mesh[k]), "depth {depth}, sample {i}");
             }
-            let mut apron = Raster::new(depth, brick, &layout, Wanted::Apron);
-            apron.push(&mesh, &places);
-            let apron = apron.finish();
+            let mut borders = Raster::new(depth, brick, &layout, Wanted::Borders);
+            borders.push(&mesh, &places);
+            let borders = borders.finish();
             let full = layout.full_edge();
-            for (i, owner) in owners(&apron, full).into_iter().enumerate() {
-                let is_core = [i % full, i / full % full, i / full / full].iter().all(|p| (1..9).contains(p));
-                assert_eq!(owner == OTHERWISE, is_core);
-                if !is_core {
-                    let found = (owner != NO_TETRAHEDRON).then(|| apron.tetrahedra[owner as usize]);
+            for (i, owner) in owners(&borders, full).into_iter().enumerate() {
+                let is_inner =
+                    [i % full, i / full % full, i / full / full].iter().all(|p| (2..9).contains(p));
+                assert_eq!(owner == OTHERWISE, is_inner);
+                if !is_inner {
+                    let found = (owner != NO_TETRAHEDRON).then(|| borders.tetrahedra[owner as usize]);
                     assert_eq!(found, expected[i].map(|k| mesh[k]));
                 }
             }

@@ -119,6 +119,15 @@ impl CellMesh {
         self.bounds
     }
 
+    /// The longest segment for which colours are integrated: the longest edge, or half the mesh where faces are left out.
+    pub(crate) fn longest_segment(&self, faces_are_left_out: bool) -> f64 {
+        if !faces_are_left_out {
+            return self.longest_edge;
+        }
+        let diagonal = sub(self.bounds[1], self.bounds[0]);
+        (0.5 * dot(diagonal, diagonal).sqrt()).max(self.longest_edge)
+    }
+
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
         size_of_val(self.points.as_slice())

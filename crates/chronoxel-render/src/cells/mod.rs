@@ -38,7 +38,7 @@ pub(crate) mod table;
 pub(crate) mod tile;
 pub(crate) mod view;
 
-pub use importance::{FaceChoice, Variation, static_importance};
+pub use importance::{FaceChoice, FaceOrder, Variation, static_importance};
 pub use mesh::CellMesh;
 pub use raster::{CellOptions, CellRenderer, CellScene, CellStats};
 pub use reference::render_cells_reference;

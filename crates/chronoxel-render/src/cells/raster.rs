@@ -104,8 +104,8 @@ pub(crate) fn check_k(k: usize) -> Result<(), RenderError> {
     if [2, 6, 16].contains(&k) { Ok(()) } else { Err(RenderError::invalid("k", k, "use 2, 6 or 16")) }
 }
 
-/// What a table depends on.
-pub(crate) type TableKey = (ResolvedTransfer, [f64; 2], f64);
+/// What a table depends on: transfer function, range of values, and the lengths of the opacity's unit and the longest segment.
+pub(crate) type TableKey = (ResolvedTransfer, [f64; 2], [f64; 2]);
 
 impl CellRenderer {
     /// A renderer of a mesh.
@@ -149,11 +149,11 @@ impl CellRenderer {
         let view =
             view.get_or_insert_with(|| CellView::new(mesh, &scene.camera, scene.size, choice.as_ref()));
         view_changed |= view.look(mesh, &scene.camera, scene.size);
-        let key = (scene.transfer.clone(), scene.value_range, scene.opacity_unit);
+        let longest = mesh.longest_segment(choice.is_some());
+        let key = (scene.transfer.clone(), scene.value_range, [scene.opacity_unit, longest]);
         table.take_if(|(of, _)| *of != key);
         let table_changed = table.is_none();
         let (_, table) = table.get_or_insert_with(|| {
-            let longest = mesh.longest_edge;
             (key, CellTable::new(&scene.transfer, scene.value_range, scene.opacity_unit, longest))
         });
         place_corners(corners, view, table, values);

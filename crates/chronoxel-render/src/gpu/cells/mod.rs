@@ -278,9 +278,9 @@ impl GpuCellRenderer {
         stats: &mut GpuCellStats,
     ) -> Result<(), GpuError> {
         let Self { resident, sight, values: giving, tiles, timer, device, .. } = self;
-        let longest = resident.mesh.longest_edge;
-        let key = (scene.transfer.clone(), scene.value_range, scene.opacity_unit);
-        stats.cells.table_changed = tiles.set_table(device, key, longest)?;
+        let longest = resident.mesh.longest_segment(sight.leaves_out());
+        let key = (scene.transfer.clone(), scene.value_range, [scene.opacity_unit, longest]);
+        stats.cells.table_changed = tiles.set_table(device, key)?;
         tiles.set_lighting(device, scene.lighting);
         let looked = sight.look(device, resident, &scene.camera, scene.size, timer)?;
         stats.cells.view_changed = looked.has_changed;

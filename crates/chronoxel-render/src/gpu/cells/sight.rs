@@ -147,6 +147,11 @@ impl Sight {
         self.forget();
     }
 
+    /// Whether only some of the faces are drawn.
+    pub fn leaves_out(&self) -> bool {
+        self.chosen.is_some()
+    }
+
     /// Where faces are sorted from now on.
     pub fn set_sorting(&mut self, sorting: CellWay) {
         if self.sorting != sorting {

@@ -71,11 +71,12 @@ impl Tiles {
     }
 
     /// Integrates a transfer function, unless it is that of the last picture; says whether it did.
-    pub fn set_table(&mut self, device: &Device, key: TableKey, longest: f64) -> Result<bool, GpuError> {
+    pub fn set_table(&mut self, device: &Device, key: TableKey) -> Result<bool, GpuError> {
         if self.table.as_ref().is_some_and(|held| held.key == key) {
             return Ok(false);
         }
-        let mut table = CellTable::new(&key.0, key.1, key.2, longest);
+        let [unit, longest] = key.2;
+        let mut table = CellTable::new(&key.0, key.1, unit, longest);
         let of_table = std::mem::take(&mut table.entries);
         let entries = match self.table.take() {
             Some(held) => held.entries,
