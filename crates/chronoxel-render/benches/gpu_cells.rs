@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use chronoxel_codec::{CellCodecOptions, decode_points, encode_cells};
+use chronoxel_codec::{CellCodecOptions, OneWorker, decode_points, encode_cells};
 use chronoxel_render::{
     CellMesh, CellOptions, CellRenderer, CellScene, CellWay, GpuCellOptions, GpuCellRenderer, GpuCellStats,
     GpuCellValues, GpuOptions, ReadBack,
@@ -47,7 +47,7 @@ fn cells(_: &mut Criterion) {
     let mesh = Arc::new(cell_meshes::twisted(num));
     let steps: Vec<Vec<f32>> = (0..64).map(|t| cell_meshes::waves(num, t as f64 * 0.05)).collect();
     let borrowed: Vec<&[f32]> = steps.iter().map(Vec::as_slice).collect();
-    let spans = encode_cells(&borrowed, &CellCodecOptions::default()).expect("a span");
+    let spans = encode_cells(&borrowed, &CellCodecOptions::default(), &OneWorker).expect("a span");
     let payload = Arc::new(spans[0].payload.clone());
     let coded = |step: usize| GpuCellValues::Coded {
         payload: Arc::clone(&payload),

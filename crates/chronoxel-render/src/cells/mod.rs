@@ -37,6 +37,7 @@ pub mod segment;
 pub(crate) mod table;
 pub(crate) mod tile;
 pub(crate) mod view;
+pub(crate) mod visibility;
 
 pub use importance::{FaceChoice, FaceOrder, Variation, static_importance};
 pub use mesh::CellMesh;

@@ -1,7 +1,7 @@
 //! A mesh as it is seen from somewhere: projected points, and faces sorted by depth and binned to tiles.
 //!
-//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew; moving
-//! or zooming it only projects and bins.
+//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew, and in a
+//! perspective moving it; zooming only projects and bins.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::mesh::Face;
 use super::tile::{TILE_HEIGHT, TILE_WIDTH};
-use super::{CellMesh, FaceChoice, face_sort};
+use super::{CellMesh, FaceChoice, visibility};
 
 /// Parts of the sorted faces that are binned on their own.
 const NUM_BINS: usize = 16;
@@ -78,7 +78,7 @@ impl CellView {
         let mut view = Self {
             camera: *camera,
             size,
-            order: sorted(mesh, camera, &chosen),
+            order: visibility::order(mesh, camera, &chosen),
             chosen,
             points: Vec::new(),
             cuts: Vec::new(),
@@ -89,15 +89,15 @@ impl CellView {
     }
 
     /// Sees the same faces of the same mesh from another place, and says whether anything changed; sorts them again
-    /// only if the direction did.
+    /// only if the direction did, or in a perspective the eye.
     pub fn look(&mut self, mesh: &CellMesh, camera: &Camera, size: [usize; 2]) -> bool {
         if self.camera == *camera && self.size == size {
             return false;
         }
-        let is_turned = self.camera.axes()[2] != camera.axes()[2];
+        let is_turned = visibility::depends_on(&self.camera) != visibility::depends_on(camera);
         (self.camera, self.size) = (*camera, size);
         if is_turned {
-            self.order = sorted(mesh, camera, &self.chosen);
+            self.order = visibility::order(mesh, camera, &self.chosen);
         }
         self.project(mesh);
         true
@@ -225,17 +225,6 @@ pub(crate) fn is_all_seen(mesh: &CellMesh, camera: &Camera) -> bool {
         |corner: usize| -> f64 { (0..3).map(|a| (bounds[corner >> a & 1][a] - eye[a]) * forward[a]).sum() };
     // With a margin for what is rounded.
     (0..8).all(|corner| depth(corner) > 2.0 * NEAREST * mesh.longest_edge)
-}
-
-/// Faces by the depths of their centroids.
-pub(crate) fn sorted(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32> {
-    let depths = depths_of(mesh, camera);
-    let depth = |face: &u32| {
-        let [a, b, c] = mesh.faces[*face as usize].points.map(|p| depths[p as usize]);
-        (a + b + c) as f32
-    };
-    let keys: Vec<f32> = faces.par_iter().with_min_len(1 << 12).map(depth).collect();
-    face_sort::order_of(&keys).into_par_iter().with_min_len(1 << 14).map(|i| faces[i as usize]).collect()
 }
 
 /// Depths of the points along the direction of view, from the camera.

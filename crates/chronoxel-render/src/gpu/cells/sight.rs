@@ -11,7 +11,8 @@ use super::passes::{Pass, groups_for, hold, most_binding, storage_buffer, upload
 use super::resident::{Resident, face_words};
 use super::sorter::{Scanner, Sorter};
 use crate::cells::FaceChoice;
-use crate::cells::view::{Seen, ViewFace, is_all_seen, sorted};
+use crate::cells::view::{Seen, ViewFace, is_all_seen};
+use crate::cells::visibility;
 use crate::gpu::device::{Device, storage, uniform};
 use crate::gpu::host::{CutData, SightData};
 use crate::gpu::memory::Buffer;
@@ -88,7 +89,7 @@ pub(super) struct Sight {
     chosen: Option<(Vec<u32>, Option<Buffer>)>,
     order: Order,
     /// The order on the CPU, and for which direction of view.
-    cpu_order: Option<([f64; 3], Vec<u32>)>,
+    cpu_order: Option<([[f64; 3]; 2], Vec<u32>)>,
     pub data: SightData,
     pub uniform: Buffer,
     corners: Option<Buffer>,
@@ -294,9 +295,10 @@ impl Sight {
         camera: &Camera,
         size: [usize; 2],
     ) -> Result<(), GpuError> {
-        let (mesh, forward, copied) = (&resident.mesh, camera.axes()[2], wgpu::BufferUsages::COPY_DST);
+        let (mesh, depends_on, copied) =
+            (&resident.mesh, visibility::depends_on(camera), wgpu::BufferUsages::COPY_DST);
         self.order = Order::None;
-        self.cpu_order.take_if(|(of, _)| *of != forward);
+        self.cpu_order.take_if(|(of, _)| *of != depends_on);
         let chosen = self.chosen.as_ref().map(|(faces, _)| faces);
         let (_, order) = self.cpu_order.get_or_insert_with(|| {
             let all: Vec<u32>;
@@ -307,7 +309,7 @@ impl Sight {
                     &all
                 }
             };
-            (forward, sorted(mesh, camera, faces))
+            (depends_on, visibility::order(mesh, camera, faces))
         });
         let Seen { points, cuts, parts } = Seen::new(mesh, camera, size, order);
         let is_seen = |face: &&ViewFace| face[..3].iter().all(|p| !points[*p as usize][0].is_nan());

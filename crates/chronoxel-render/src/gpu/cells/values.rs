@@ -313,7 +313,7 @@ fn decode_on_cpu(
 
 #[cfg(test)]
 mod tests {
-    use chronoxel_codec::{CellCodecOptions, encode_cells};
+    use chronoxel_codec::{CellCodecOptions, OneWorker, encode_cells};
     use chronoxel_core::{Camera, ColorMap, TransferFunction};
 
     use super::*;
@@ -348,7 +348,7 @@ mod tests {
         let steps: Vec<Vec<f32>> = (0..64).map(|t| (0..NUM_POINTS).map(|i| value(t, i)).collect()).collect();
         let borrowed: Vec<&[f32]> = steps.iter().map(Vec::as_slice).collect();
         let options = CellCodecOptions { entries, max_error: None };
-        Arc::new(encode_cells(&borrowed, &options).unwrap().remove(0).payload)
+        Arc::new(encode_cells(&borrowed, &options, &OneWorker).unwrap().remove(0).payload)
     }
 
     #[test]
