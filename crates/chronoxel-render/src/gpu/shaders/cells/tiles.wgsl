@@ -61,8 +61,9 @@ struct Setup {
 }
 
 var<workgroup> batch: array<Setup, BATCH>;
-// For each pixel, which faces of the batch cover it, in two words.
+// For each pixel, which faces of the batch cover it, in two words; and which of those have their normals towards the camera.
 var<workgroup> covering: array<atomic<u32>, 128>;
+var<workgroup> facing: array<atomic<u32>, 128>;
 var<workgroup> is_left: u32;
 var<workgroup> tile_counts: array<atomic<u32>, 2>;
 
@@ -157,23 +158,27 @@ fn cover(places: array<vec2<f32>, 3>, number: u32, origin: vec2<f32>) {
             // Signs alone count: that of the area may have been rounded away.
             if (((signs.x ^ signs.y) | (signs.x ^ signs.z)) >> 31u) == 0u {
                 let place = vec2<u32>(vec2<f32>(x, y) - origin);
-                atomicOr(&covering[2u * (place.y * TILE + place.x) + word], bit);
+                let at = 2u * (place.y * TILE + place.x) + word;
+                atomicOr(&covering[at], bit);
+                if (signs.x >> 31u) == 1u {
+                    atomicOr(&facing[at], bit);
+                }
             }
         }
     }
 }
 
-// An edge function: the same bits for both faces at the edge, which begins at its point of the lower number.
+// An edge function: the same bits for both faces at the edge, which begins at its point of the lower number. Drivers may
+// fuse a product and a sum, but not one of either in two ways.
 fn edge(start: vec2<f32>, side: vec2<f32>, pixel: vec2<f32>) -> f32 {
     let away = pixel - start;
-    return side.x * away.y - side.y * away.x;
+    return fma(side.x, away.y, -(side.y * away.x));
 }
 
 // Draws a face on a pixel that it covers.
-fn draw(pixel: ptr<function, Pixel>, number: u32, centre: vec2<f32>) {
+fn draw(pixel: ptr<function, Pixel>, number: u32, is_away: bool, centre: vec2<f32>) {
     let ab = edge(batch[number].start, batch[number].to_second, centre);
     let ac = edge(batch[number].start, batch[number].to_third, centre);
-    let is_away = (bitcast<u32>(ab) >> 31u) == 0u;
     let fragment = fragment_of(number, vec2<f32>(ab, ac), is_away);
     (*pixel).num_fragments += 1u;
     advance(pixel, insert(pixel, fragment));
@@ -375,8 +380,10 @@ fn main(
         if local == 0u {
             is_left = 0u;
         }
-        atomicStore(&covering[2u * local], 0u);
-        atomicStore(&covering[2u * local + 1u], 0u);
+        for (var word = 0u; word < 2u; word++) {
+            atomicStore(&covering[2u * local + word], 0u);
+            atomicStore(&facing[2u * local + word], 0u);
+        }
         workgroupBarrier();
         if first + local < end {
             let origin = vec2<f32>(f32(group.x * TILE), f32(row - place.y));
@@ -385,8 +392,10 @@ fn main(
         workgroupBarrier();
         for (var word = 0u; word < 2u; word++) {
             var bits = atomicLoad(&covering[2u * local + word]);
+            let towards = atomicLoad(&facing[2u * local + word]);
             while bits != 0u && pixel.transmittance >= LEAST_TRANSMITTANCE {
-                draw(&pixel, 32u * word + firstTrailingBit(bits), centre);
+                let number = firstTrailingBit(bits);
+                draw(&pixel, 32u * word + number, ((towards >> number) & 1u) == 0u, centre);
                 bits &= bits - 1u;
             }
         }
