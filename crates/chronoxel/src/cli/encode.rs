@@ -333,5 +333,8 @@ fn mesh_text(mesh: &VoxelReport) -> String {
     for (count, what) in left_out.into_iter().filter(|(count, _)| *count > 0) {
         text += &format!("; {count} {what} left out");
     }
+    if census.num_curved > 0 {
+        text += &format!("; {} cells of higher order taken by their corners", census.num_curved);
+    }
     text
 }
