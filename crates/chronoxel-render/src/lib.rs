@@ -3,6 +3,7 @@
 //! [`mod@reference`] defines the right picture in double precision; [`cpu`] makes it fast, and `gpu` (a feature, on by
 //! default) makes it on the GPU. [`cells`] draws tetrahedra as they are. None knows of files or stores.
 
+pub mod borders;
 pub mod cells;
 pub mod cpu;
 pub mod error;
@@ -13,16 +14,18 @@ pub mod reference;
 pub mod scene;
 pub mod slices;
 
+pub use borders::{LevelBorders, filter_level_borders};
 pub use cells::{
-    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, Variation, render_cells_reference,
-    static_importance,
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, FaceOrder, Variation,
+    render_cells_reference, static_importance,
 };
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
 #[cfg(feature = "gpu")]
 pub use gpu::{
-    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats,
-    Interpolation, LaterStep, Method, ReadBack, Way,
+    CellWay, CodedBrick, GpuBrick, GpuCellOptions, GpuCellRenderer, GpuCellStats, GpuCellValues, GpuError,
+    GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats, Interpolation, LaterStep, Method,
+    ReadBack, Way,
 };
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};

@@ -42,7 +42,7 @@ impl PreparedBrick {
         }
         let samples: Vec<i16> = brick.samples.into_iter().map(|s| (s ^ 0x8000) as i16).collect();
         let block_ranges = block_ranges(&samples, layout);
-        let range = block_ranges.iter().fold([i16::MAX, i16::MIN], |r, b| [r[0].min(b[0]), r[1].max(b[1])]);
+        let range = extent_of(&block_ranges);
         Ok(Self {
             layout: *layout,
             samples,
@@ -52,6 +52,41 @@ impl PreparedBrick {
             block_ranges,
             range,
         })
+    }
+
+    /// The value of a sample, `[z, y, x]` over core and apron.
+    pub(crate) fn value(&self, index: usize) -> f64 {
+        self.offset + self.scale * f64::from(self.samples[index])
+    }
+
+    /// The same brick with other values at some samples. Where its steps cannot tell them, all samples are rounded to new steps over the
+    /// wider range.
+    ///
+    /// * `changed`: indices of those samples
+    /// * `values`: one per sample, finite where it is changed
+    pub(crate) fn with_values(&self, changed: &[usize], values: &[f64]) -> Self {
+        let fits = |value: f64| {
+            let step = ((value - self.offset) / self.scale).round();
+            step >= f64::from(i16::MIN) && step <= f64::from(i16::MAX)
+        };
+        let (mut offset, mut scale, mut samples) = (self.offset, self.scale, self.samples.clone());
+        if !changed.iter().all(|&index| fits(values[index])) {
+            let ends = [samples.iter().min(), samples.iter().max()];
+            let ends = ends.map(|step| self.offset + self.scale * f64::from(*step.unwrap_or(&0)));
+            let all = changed.iter().map(|&index| values[index]).chain(ends);
+            let [low, high] =
+                all.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)]);
+            (offset, scale) = (0.5 * low + 0.5 * high, (0.5 * high - 0.5 * low) / 32767.0);
+            let per_step = self.scale / scale;
+            let shift = (self.offset - offset) / scale;
+            samples.iter_mut().for_each(|s| *s = (shift + per_step * f64::from(*s)).round() as i16);
+        }
+        for &index in changed {
+            samples[index] = ((values[index] - offset) / scale).round() as i16;
+        }
+        let block_ranges = block_ranges(&samples, &self.layout);
+        let range = extent_of(&block_ranges);
+        Self { layout: self.layout, samples, offset, scale, mask: self.mask.clone(), block_ranges, range }
     }
 
     /// The shape it was prepared for.
@@ -72,6 +107,11 @@ impl PreparedBrick {
             + 4 * self.block_ranges.len()
             + self.mask.as_ref().map_or(0, |m| m.bytes.len())
     }
+}
+
+/// Smallest and largest of the ranges of blocks.
+fn extent_of(block_ranges: &[[i16; 2]]) -> [i16; 2] {
+    block_ranges.iter().fold([i16::MAX, i16::MIN], |r, b| [r[0].min(b[0]), r[1].max(b[1])])
 }
 
 /// Ranges of the samples around the cells of each block: `BLOCK_EDGE + 1` samples along each axis.

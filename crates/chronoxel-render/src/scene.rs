@@ -105,6 +105,13 @@ pub struct DrawBrick {
     pub how: DrawHow,
 }
 
+impl DrawBrick {
+    /// Whether it is drawn from samples.
+    pub fn is_sampled(&self) -> bool {
+        matches!(self.how, DrawHow::Samples(_))
+    }
+}
+
 /// What a draw list says of a box.
 #[derive(Debug, Clone)]
 pub enum DrawHow {

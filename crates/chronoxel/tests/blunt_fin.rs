@@ -93,6 +93,7 @@ fn view_of(session: &Session, bounds: [[f64; 3]; 2], size: [usize; 2]) -> View {
         opacity_unit: 0.03,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     }
 }
 

@@ -82,6 +82,7 @@ fn view_of(session: &Session, transfer: &str, lighting: Option<Lighting>) -> Vie
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     }
 }
 

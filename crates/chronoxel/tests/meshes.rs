@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use chronoxel::session::{Session, View, orbit_camera};
+use chronoxel::session::{LevelBorders, Session, View, orbit_camera};
 use chronoxel_core::{
     Background, Camera, ColorMap, Image, Image8, TransferDomain, TransferFunction, TransferPoint,
     difference_picture,
@@ -24,8 +24,8 @@ fn options(max_depth: u8) -> EncodeOptions {
     EncodeOptions { codec: Codec::Raw, brick_edge: 8, voxels, ..EncodeOptions::default() }
 }
 
-/// The field on a rectilinear grid over the unit cube whose layers become thinner towards one corner.
-fn stretched(folder: &Path) -> PathBuf {
+/// A field on a rectilinear grid over the unit cube whose layers become thinner towards one corner.
+fn stretched(folder: &Path, field: fn([f64; 3]) -> f64) -> PathBuf {
     let along: Vec<f64> = (0..13).map(|i| (f64::from(i) / 12.0).powi(3)).collect();
     let mut text = "# vtk DataFile Version 3.0\nstretched\nASCII\nDATASET RECTILINEAR_GRID\n".to_owned();
     writeln!(text, "DIMENSIONS 13 13 13").unwrap();
@@ -81,6 +81,7 @@ fn picture(store: &Path, angles: [f64; 2]) -> Image {
         opacity_unit: 1.0 / 32.0,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let picture = session.draw(&view, 0).unwrap();
     assert!(picture.warnings.is_empty(), "{:?}", picture.warnings);
@@ -90,7 +91,7 @@ fn picture(store: &Path, angles: [f64; 2]) -> Image {
 #[test]
 fn levels_side_by_side_show_no_seams() {
     let folder = tempfile::tempdir().unwrap();
-    let source = stretched(folder.path());
+    let source = stretched(folder.path(), field);
     let mesh = mesh_store(folder.path(), &source.to_string_lossy(), 3);
     let uniform = uniform_store(folder.path());
     let tree = Session::open(&mesh, None, 1 << 30).unwrap().store().tree().clone();
@@ -115,6 +116,50 @@ fn levels_side_by_side_show_no_seams() {
         // A seam of a sample at a border is a sixteenth of a brick's opacity.
         assert!(rms < 0.004 && largest < 0.06, "{angles:?}: rms {rms}, largest {largest}");
     }
+}
+
+/// Lit shells of a curved field: where levels jump, shells break.
+fn shells(store: &Path, level_borders: LevelBorders, memory_bytes: u64) -> Image {
+    let mut session = Session::open(store, None, memory_bytes).unwrap();
+    let size = [160, 160];
+    let bump = |x: f64| {
+        let point = |x: f64, opacity: f32| TransferPoint { x, color: [0.9, 0.8, 0.6], opacity };
+        [point(x - 0.02, 0.0), point(x, 0.8), point(x + 0.02, 0.0)]
+    };
+    let points: Vec<TransferPoint> = [0.3, 0.5, 0.7].into_iter().flat_map(bump).collect();
+    let ends = [0.0, 1.0].map(|x| TransferPoint { x, color: [0.9, 0.8, 0.6], opacity: 0.0 });
+    let points = [&ends[..1], &points, &ends[1..]].concat();
+    let view = View {
+        camera: orbit_camera(&session.store().header().grid, [215.0, -25.0], 1.2, Some(30.0), size).unwrap(),
+        transfer: session.resolve(&TransferFunction::new(points, TransferDomain::Variable).unwrap()).unwrap(),
+        size,
+        step_voxels: 0.5,
+        lighting: None,
+        opacity_unit: 1.0 / 56.0,
+        level: 0,
+        coherence: None,
+        level_borders,
+    };
+    session.draw(&view, 0).unwrap().image
+}
+
+#[test]
+fn portions_change_nothing_where_borders_are_filtered() {
+    let folder = tempfile::tempdir().unwrap();
+    let curved = |[x, y, z]: [f64; 3]| (3.0 * x).sin() * (2.0 * y).cos() + z * z;
+    let store = mesh_store(folder.path(), &stretched(folder.path(), curved).to_string_lossy(), 3);
+    let sharp = shells(&store, LevelBorders::Sharp, 1 << 30);
+    let filtered = shells(&store, LevelBorders::Filtered, 1 << 30);
+    if let Some(folder) = std::env::var_os("CHRONOXEL_PICTURES") {
+        for (name, image) in [("sharp.png", &sharp), ("filtered.png", &filtered)] {
+            let black = Background::Color([0.0; 3]);
+            std::fs::write(Path::new(&folder).join(name), image.to_png(black)).unwrap();
+        }
+    }
+    let num_changed = sharp.pixels.iter().zip(&filtered.pixels).filter(|(a, b)| a != b).count();
+    assert!(num_changed > 500, "{num_changed} pixels differ");
+    // About 15 bricks at a time.
+    assert!(filtered == shells(&store, LevelBorders::Filtered, 3 << 20));
 }
 
 /// A structured grid with a value at each point; both are told the indices of a point, and `value` its place.
@@ -166,6 +211,7 @@ fn nothing_is_drawn_beyond_the_mesh() {
         opacity_unit: 0.01,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let image = session.draw(&view, 0).unwrap().image;
     let centre = 119.5;
@@ -215,6 +261,7 @@ fn surface(store: &Path) -> Image {
         opacity_unit: 0.02,
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let picture = session.draw(&view, 0).unwrap();
     assert!(picture.warnings.is_empty(), "{:?}", picture.warnings);

@@ -39,6 +39,7 @@ fn view_of(session: &Session, azimuth: f64) -> View {
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     }
 }
 

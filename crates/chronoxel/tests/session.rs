@@ -28,6 +28,7 @@ fn view_of(session: &Session, lighting: Option<Lighting>) -> View {
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     }
 }
 

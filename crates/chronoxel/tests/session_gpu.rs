@@ -90,6 +90,7 @@ fn view_of(session: &Session) -> View {
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     }
 }
 

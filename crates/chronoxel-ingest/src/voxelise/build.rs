@@ -3,7 +3,7 @@
 //! A node holds the tetrahedra that its samples, apron included, may lie in. It is split as long as a point that needs a voxel of
 //! its own shares it with another, or until the deepest level; of its octants those become nodes that a tetrahedron reaches. So an
 //! octant without a node has no data, and a node with children is filtered from them alone; from the tetrahedra it needs its
-//! apron, for where no node of its depth lies beside it.
+//! borders, for where none with children lies beside it.
 //!
 //! Depth first, in Morton order: a list is gone once its node is split, and short ones stay in memory. Subtrees that fit there
 //! are built in parallel; what comes out does not depend on it.
@@ -127,7 +127,7 @@ impl<'a> Builder<'a> {
         }
         let must_split = self.must_split(depth, brick, &list)?;
         let is_leaf = !must_split || depth == self.mesh.max_depth;
-        let which = if is_leaf { Wanted::All } else { Wanted::Apron };
+        let which = if is_leaf { Wanted::All } else { Wanted::Borders };
         let mut raster = Raster::new(depth, brick, self.mesh.layout, which);
         let (mesh, num_tests) = (self.mesh, &self.num_tests);
         let mut children = Children::new(mesh, depth, brick);
@@ -181,8 +181,8 @@ impl<'a> Builder<'a> {
         for part in children.parts_of(&all, &self.num_tests) {
             children.take(part, self.pool)?;
         }
-        // The apron's tetrahedra are few: only what is sampled waits.
-        let mut raster = Raster::new(depth, brick, self.mesh.layout, Wanted::Apron);
+        // The tetrahedra at the borders are few: only what is sampled waits.
+        let mut raster = Raster::new(depth, brick, self.mesh.layout, Wanted::Borders);
         raster.push(&all, self.mesh.places);
         drop(all);
         self.flush()?;
@@ -231,7 +231,7 @@ impl<'a> Builder<'a> {
 
 impl Job {
     fn sampled(&self, mesh: &Mesh<'_>) -> BrickMap {
-        let which = if self.is_leaf { Wanted::All } else { Wanted::Apron };
+        let which = if self.is_leaf { Wanted::All } else { Wanted::Borders };
         let mut raster = Raster::new(self.depth, self.brick, mesh.layout, which);
         raster.push(&self.tetrahedra, mesh.places);
         raster.finish()
@@ -267,8 +267,8 @@ fn subtree(
     num_tests.fetch_add(tested, Ordering::Relaxed);
     let children: Vec<(u8, Vec<Tetrahedron>)> =
         (0u8..8).zip(children).filter(|(octant, _)| reached[usize::from(*octant)]).collect();
-    // Of the node itself only what its apron can lie in.
-    let mut jobs = vec![Job { depth, brick, is_leaf: false, tetrahedra: boxes.of_apron(all, mesh) }];
+    // Of the node itself only what the samples at its borders can lie in.
+    let mut jobs = vec![Job { depth, brick, is_leaf: false, tetrahedra: boxes.at_borders(all, mesh) }];
     let below: Vec<(Vec<Job>, u64)> = children
         .into_par_iter()
         .map(|(octant, list)| {
@@ -348,7 +348,7 @@ struct Boxes {
     drawn: [[[f64; 3]; 2]; 8],
     /// Whether the child holds a sample of the grid.
     is_in_grid: [bool; 8],
-    /// Of the node itself: inside this, a tetrahedron reaches no sample of the apron.
+    /// Of the node itself: inside this, a tetrahedron reaches no sample of the apron, nor of the core's low faces.
     inner: [[f64; 3]; 2],
 }
 
@@ -399,8 +399,8 @@ impl Boxes {
         octants
     }
 
-    /// What may hold a sample of the node's apron.
-    fn of_apron(&self, mut all: Vec<Tetrahedron>, mesh: &Mesh<'_>) -> Vec<Tetrahedron> {
+    /// What may hold a sample of the node's apron, or of the low faces of its core.
+    fn at_borders(&self, mut all: Vec<Tetrahedron>, mesh: &Mesh<'_>) -> Vec<Tetrahedron> {
         let [low, high] = self.inner;
         all.retain(|tetrahedron| {
             let corners = tetrahedron.corners(mesh.places);

@@ -1,11 +1,12 @@
 //! The bricks of one step: leaves along the map, level by level the nodes above them, and every apron.
 //!
 //! A node with children has the core that they are filtered to (weights 1 2 1, samples without data left out), octant by octant, from
-//! their samples with aprons. A leaf has what lies in its tetrahedra, apron included; beside a node with children its apron is that
-//! node's core instead. The apron of a node with children is, likewise, what its neighbours of the same depth have, and where there
-//! is none, what lies in the tetrahedra there. So neighbours of the same depth agree on the samples they share (leven2002, figure 8).
+//! their samples with aprons; a leaf has what lies in its tetrahedra. What a sample of the depth is follows from its place alone: where a leaf
+//! has it or shares it, or where there is no node, it is what lies in the tetrahedra. So neighbours of the same depth agree on the
+//! samples they share, and a node with children takes the borders of the leaves beside it and hands them on to what is filtered from it
+//! (leven2002, figure 8).
 
-use chronoxel_core::NodeId;
+use chronoxel_core::{BrickLayout, NodeId};
 use rayon::prelude::*;
 
 use super::Voxels;
@@ -133,20 +134,22 @@ impl<'a, T: Real> MeshStep<'a, T> {
         samples.resize(layout.num_full(), T::MASKED);
         let at = BrickPlace { depth: self.voxels.depth_of(level), brick: node.brick() };
         maps.with(built.map, |map| apply(map, at, layout, places, &self.values, samples))?;
-        if !built.is_leaf {
-            self.copy_core(rank, [0; 3], samples)?;
-        }
-        // What neighbours with children have in place of what lies in the tetrahedra.
-        for shift in 0..27 {
-            let shift = [shift % 3 - 1, shift / 3 % 3 - 1, shift / 9 - 1];
-            if shift != [0; 3]
-                && let Some(neighbour) = self.neighbour(node, shift)
-                && !nodes[usize::from(level)][neighbour].is_leaf
-            {
-                self.copy_core(neighbour, shift, samples)?;
+        let around = self.nodes_around(node);
+        for owner in 0..27 {
+            if let Some((rank, false)) = around[owner] {
+                self.copy_core(rank, owner, &around, samples)?;
             }
         }
         Ok(())
+    }
+
+    /// The ranks of a node and those around it, and whether they are leaves: where there are any.
+    fn nodes_around(&self, node: NodeId) -> [Option<(usize, bool)>; 27] {
+        std::array::from_fn(|cell| {
+            let shift = [cell % 3, cell / 3 % 3, cell / 9].map(|s| s as i32 - 1);
+            let rank = self.neighbour(node, shift)?;
+            Some((rank, self.voxels.nodes[usize::from(node.level)][rank].is_leaf))
+        })
     }
 
     fn neighbour(&self, node: NodeId, shift: [i32; 3]) -> Option<usize> {
@@ -160,38 +163,35 @@ impl<'a, T: Real> MeshStep<'a, T> {
         self.voxels.tree.rank(NodeId::new(node.level, brick))
     }
 
-    /// Copies what the core of a node with children, `shift` bricks away, has in common with a full brick.
-    fn copy_core(&self, rank: usize, shift: [i32; 3], samples: &mut [T]) -> Result<(), EncodeError> {
+    /// Copies what the core of a node with children, itself or one around it, has in common with a full brick, but for what leaves share.
+    fn copy_core(
+        &self,
+        rank: usize,
+        owner: usize,
+        around: &[Option<(usize, bool)>; 27],
+        samples: &mut [T],
+    ) -> Result<(), EncodeError> {
         let layout = &self.voxels.layout;
-        let (full, edge) = (layout.full_edge(), layout.edge);
-        // The first sample, in the full brick and in the core, and how many there are.
-        let span = |a: usize| match shift[a] {
-            -1 => (0, edge - layout.low, layout.low),
-            0 => (layout.low, 0, edge),
-            _ => (layout.low + edge, 0, layout.high),
-        };
-        let [(x, from_x, nx), (y, from_y, ny), (z, from_z, nz)] = [span(0), span(1), span(2)];
         let read;
         let core = match &self.cores[rank] {
-            Waiting::Uniform(value) => {
-                let value = value.unwrap_or(T::MASKED);
-                for k in z..z + nz {
-                    for j in y..y + ny {
-                        samples[x + full * (j + full * k)..][..nx].fill(value);
-                    }
-                }
-                return Ok(());
-            }
-            Waiting::Memory(core) => core,
+            Waiting::Uniform(value) => Core::Uniform(value.unwrap_or(T::MASKED)),
+            Waiting::Memory(core) => Core::Samples(core),
             Waiting::File(block) => {
-                read = self.scratch.read::<T>(*block, edge.pow(3))?;
-                &read
+                read = self.scratch.read::<T>(*block, layout.num_core())?;
+                Core::Samples(&read)
             }
         };
-        for k in 0..nz {
-            for j in 0..ny {
-                let from = &core[from_x + edge * (from_y + j + edge * (from_z + k))..][..nx];
-                samples[x + full * (y + j + full * (z + k))..][..nx].copy_from_slice(from);
+        let [x, y, z] = [owner % 3, owner / 3 % 3, owner / 9].map(|cell| parts_along(cell, layout));
+        for z in &z {
+            for y in &y {
+                for x in &x {
+                    let shares = |i: usize, j: usize, k: usize| {
+                        matches!(around[x.cells[i] + 3 * y.cells[j] + 9 * z.cells[k]], Some((_, true)))
+                    };
+                    if !(0..8).any(|c| shares(c & 1, c >> 1 & 1, c >> 2)) {
+                        core.copy([x, y, z], layout, samples);
+                    }
+                }
             }
         }
         Ok(())
@@ -228,6 +228,53 @@ impl<'a, T: Real> MeshStep<'a, T> {
             }
         }
         Ok(())
+    }
+}
+
+/// The core of a node with children.
+enum Core<'a, T> {
+    Uniform(T),
+    Samples(&'a [T]),
+}
+
+/// Samples of a full brick along an axis that the same nodes have.
+struct PartAlong {
+    /// The first, in the full brick.
+    first: usize,
+    /// The first, in the core of the node that has it.
+    in_core: usize,
+    num: usize,
+    /// The nodes whose closed boxes hold it: 0 is the one before, 1 the brick itself, 2 the one after.
+    cells: [usize; 2],
+}
+
+/// What of a full brick lies in the core of the node before it, its own, or that of the one after it.
+fn parts_along(cell: usize, layout: &BrickLayout) -> Vec<PartAlong> {
+    let BrickLayout { edge, low, high } = *layout;
+    let inner = |first, in_core, num| PartAlong { first, in_core, num, cells: [cell; 2] };
+    let shared = |first| PartAlong { first, in_core: 0, num: 1, cells: [cell - 1, cell] };
+    match cell {
+        0 => vec![inner(0, edge - low, low)],
+        1 => vec![shared(low), inner(low + 1, 1, edge - 1)],
+        _ => vec![shared(low + edge), inner(low + edge + 1, 1, high - 1)],
+    }
+}
+
+impl<T: Copy> Core<'_, T> {
+    fn copy(&self, [x, y, z]: [&PartAlong; 3], layout: &BrickLayout, samples: &mut [T]) {
+        let (full, edge) = (layout.full_edge(), layout.edge);
+        for k in 0..z.num {
+            for j in 0..y.num {
+                let row = &mut samples[x.first + full * (y.first + j + full * (z.first + k))..][..x.num];
+                match self {
+                    Self::Uniform(value) => row.fill(*value),
+                    Self::Samples(core) => {
+                        let from = x.in_core + edge * (y.in_core + j + edge * (z.in_core + k));
+                        row.copy_from_slice(&core[from..][..x.num]);
+                    }
+                }
+            }
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use chronoxel_core::{NodeId, SampleType};
 use chronoxel_ingest::MeshSeries;
-use chronoxel_ingest::voxelise::Voxels;
+use chronoxel_ingest::voxelise::{Voxels, sample_points};
 
 use crate::meshes::{bricks, linear, mixed, ring, stretched, voxelised, wavy, with_field};
 
@@ -114,4 +114,47 @@ fn neighbours_of_a_level_agree_on_every_sample_they_share() {
         }
         assert!(num_shared > 1000 && num_mixed > 100, "{num_shared} {num_mixed}");
     }
+}
+
+#[test]
+fn filtered_nodes_take_the_borders_of_leaves_beside_them() {
+    let mut mesh = with_field(stretched(), SampleType::F64, wavy);
+    let voxels = voxelised(&mut mesh, 0.0, 4);
+    let (tree, layout, grid) = (voxels.tree(), *voxels.layout(), *voxels.grid());
+    let full = layout.full_edge();
+    let (mut places, mut found, mut num_filtered) = (Vec::new(), Vec::new(), 0);
+    for (node, samples) in bricks(&voxels, &mut mesh, 1).into_iter().filter(|(node, _)| !tree.is_leaf(*node))
+    {
+        for axis in 0..3 {
+            let mut before = node.brick();
+            let Some(below) = before[axis].checked_sub(1) else { continue };
+            before[axis] = below;
+            let before = NodeId::new(node.level, before);
+            if tree.rank(before).is_none() || !tree.is_leaf(before) {
+                continue;
+            }
+            for i in 0..layout.edge * layout.edge {
+                let mut at = [i % layout.edge, i / layout.edge, 0];
+                at.swap(axis, 2);
+                let index = |at: [usize; 3]| {
+                    let [x, y, z] = at.map(|p| p + layout.low);
+                    x + full * (y + full * z)
+                };
+                let scale = f64::from(1u32 << node.level);
+                let place = |a: usize| f64::from(node.brick()[a]) * layout.edge as f64 + at[a] as f64;
+                places.push(grid.world_from_voxel([place(0), place(1), place(2)].map(|p| p * scale)));
+                found.push(samples[index(at)]);
+                num_filtered += 1;
+            }
+        }
+    }
+    assert!(num_filtered > 200, "{num_filtered}");
+    let expected = sample_points(&mut mesh, 0, 1, &places).unwrap();
+    for ((found, expected), place) in found.iter().zip(&expected).zip(&places) {
+        // Places on the mesh's boundary may be rounded to its outside.
+        if !expected.is_nan() && !found.is_nan() {
+            assert!((found - expected).abs() < 1e-12, "{found} in place of {expected} at {place:?}");
+        }
+    }
+    assert!(expected.iter().filter(|v| !v.is_nan()).count() > num_filtered / 2);
 }

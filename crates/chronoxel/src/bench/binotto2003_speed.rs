@@ -152,6 +152,7 @@ fn view_of(session: &Session, slices: u32, edge: usize) -> anyhow::Result<View> 
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     })
 }
 

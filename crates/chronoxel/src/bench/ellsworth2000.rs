@@ -186,6 +186,7 @@ impl Case {
             opacity_unit: header.grid.smallest_spacing(),
             level: 0,
             coherence: None,
+            level_borders: Default::default(),
         };
         let num_steps = header.num_steps_finished as usize;
         Ok(Self { session, view, sizes, num_steps })

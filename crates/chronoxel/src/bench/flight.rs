@@ -54,6 +54,7 @@ impl Flight {
             opacity_unit: session.store().header().opacity_unit(),
             level: 0,
             coherence: None,
+            level_borders: Default::default(),
         };
         let num_steps = session.store().header().num_steps_finished;
         let options = PlayerOptions {

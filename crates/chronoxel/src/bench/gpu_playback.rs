@@ -150,6 +150,7 @@ impl Bench<'_> {
             opacity_unit: grid.smallest_spacing(),
             level: 0,
             coherence: None,
+            level_borders: Default::default(),
         })
     }
 

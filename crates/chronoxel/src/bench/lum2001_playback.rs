@@ -192,6 +192,7 @@ fn play(store: &Path, memory_bytes: u64, disk: Disk, on_step: &mut dyn FnMut()) 
         opacity_unit: grid.smallest_spacing(),
         level: 0,
         coherence: None,
+        level_borders: Default::default(),
     };
     let throttle = (disk == Disk::Throttled).then_some(DISK_BYTES_PER_SEC);
     let options = PlayerOptions { throttle, redraws: true, loops: false, ..PlayerOptions::default() };

@@ -62,6 +62,7 @@ impl Stepping {
             opacity_unit: grid.smallest_spacing(),
             level: 0,
             coherence: None,
+            level_borders: Default::default(),
         };
         let mut draw = |session: &mut Session, step: usize| {
             interrupt::check()?;

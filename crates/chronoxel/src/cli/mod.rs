@@ -2,6 +2,7 @@
 
 mod args;
 mod bench;
+mod cells;
 mod compare;
 mod demo;
 mod encode;

@@ -4,7 +4,9 @@
 //! over a budget of bytes; where the bricks of one picture exceed it, they are drawn in portions, so
 //! that a volume of any size can be drawn at full resolution.
 
+mod borders;
 mod bricks;
+mod cells;
 mod gpu;
 mod held;
 mod images;
@@ -25,6 +27,8 @@ use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::BrickKey;
+pub use cells::{CellPicture, CellSession, CellShot, Importance};
+pub(crate) use cells::{StepValues, decode_into, warning_of};
 use gpu::{GpuShot, OnGpu};
 pub(crate) use held::{Held, HeldKey, read_held};
 use images::Images;
@@ -50,6 +54,18 @@ pub struct View {
     pub level: u8,
     /// Coherence in space and time to make use of; without it each step is drawn by itself.
     pub coherence: Option<CoherenceView>,
+    /// How bricks of different levels meet.
+    pub level_borders: LevelBorders,
+}
+
+/// How bricks of different levels meet, in stores with an adaptive tree and where a player draws some parts finer than others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LevelBorders {
+    /// Each as it interpolates its own samples.
+    #[default]
+    Sharp,
+    /// Without a jump: the finer takes the values of the coarser on what they share. On the CPU.
+    Filtered,
 }
 
 /// A moment of a series: a step, or a place between it and the next.
@@ -339,6 +355,10 @@ impl Session {
             let [width, height] = view.size;
             bail!("--size {width}x{height} takes {picture_bytes} bytes, more than --memory allows; raise it");
         }
+        anyhow::ensure!(
+            view.level_borders == LevelBorders::Sharp || self.on_gpu.is_none(),
+            "levels are filtered at their borders on the CPU: take --backend cpu, or --level-borders sharp"
+        );
         let start = Instant::now();
         let mut faults = Faults::default();
         let items = self.select(view, step as u32, weight, &mut faults, None)?;
@@ -486,7 +506,9 @@ impl Session {
             faults,
             fetch_ms: 0.0,
         };
-        if self.images.are_kept() && weight == 0.0 {
+        if view.level_borders == LevelBorders::Filtered {
+            self.draw_filtered(items, step, weight, &mut drawing)?;
+        } else if self.images.are_kept() && weight == 0.0 {
             self.draw_parts(view, step, items, &mut drawing)?;
         } else {
             self.draw_items(items, step, weight, &mut drawing)?;
@@ -565,6 +587,20 @@ pub fn orbit_camera(
     fov_y_deg: Option<f64>,
     size: [usize; 2],
 ) -> anyhow::Result<Camera> {
+    orbit_camera_of(grid.bounds(), angles_deg, zoom, fov_y_deg, size)
+}
+
+/// As [`orbit_camera`], around a box.
+///
+/// # Errors
+/// As [`orbit_camera`].
+pub fn orbit_camera_of(
+    bounds: [[f64; 3]; 2],
+    angles_deg: [f64; 2],
+    zoom: f64,
+    fov_y_deg: Option<f64>,
+    size: [usize; 2],
+) -> anyhow::Result<Camera> {
     let aspect = size[0] as f64 / size[1] as f64;
-    Ok(Camera::orbit(grid.bounds(), angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
+    Ok(Camera::orbit(bounds, angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
 }

@@ -3,6 +3,7 @@
 mod bad_input;
 mod bad_stores;
 mod bench;
+mod cell_pictures;
 mod cells;
 mod coherence;
 mod command;
