@@ -44,8 +44,11 @@ fn what_is_played_is_what_is_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let store = encoded(folder.path());
     let (mut drawing, shot) = session(&store);
-    let orders: [Vec<u32>; 3] =
-        [(0..NUM_STEPS as u32).collect(), (0..NUM_STEPS as u32).rev().collect(), vec![3, 69, 3, 0, 64, 63, 1]];
+    let orders: [Vec<u32>; 3] = [
+        (0..NUM_STEPS as u32).collect(),
+        (0..NUM_STEPS as u32).rev().collect(),
+        vec![3, 69, 3, 0, 64, 63, 1],
+    ];
     for order in orders {
         let options = CellPlayerOptions { redraws: true, ..CellPlayerOptions::default() };
         let mut player = CellPlayer::new(session(&store).0, order.clone(), options).unwrap();
