@@ -1,4 +1,4 @@
-//! A mesh as a camera sees it: points projected, faces sorted by depth and listed for each tile, in compute passes.
+//! A mesh as a camera sees it: points projected, faces put into order and listed for each tile, in compute passes.
 //!
 //! The order in which rays meet the faces may be the CPU's, and be uploaded when it changes. Where a part of the mesh lies
 //! beside or behind the camera, the plane where it begins to see cuts tetrahedra: then [`Seen`] does the projecting and
@@ -8,6 +8,7 @@ use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_core::{Camera, Projection};
 
 use super::CellWay;
+use super::order::{Ordering, Wanted};
 use super::passes::{Pass, groups_for, hold, most_binding, storage_buffer, upload_all};
 use super::resident::{Resident, face_words};
 use super::sorter::{Scanner, Sorter};
@@ -21,10 +22,8 @@ use crate::gpu::{GpuError, import};
 
 /// Columns and rows of a tile; `TILE` of `shared/sight.wgsl`.
 pub(super) const TILE: usize = 8;
-/// Bits of the keys that faces are sorted by: as many as a float tells apart.
-const KEY_BITS: u32 = 24;
-/// The largest key; `MOST_KEY` of `cells/place.wgsl`.
-const MOST_KEY: f64 = ((1u32 << KEY_BITS) - 1) as f64;
+/// The largest depth by which faces are sorted, as floats tell depths apart; `MOST_DEPTH` of `cells/order.wgsl`.
+const MOST_DEPTH: f64 = ((1u32 << 24) - 1) as f64;
 /// The most tiles that are listed at once by programs on the CPU: their loops end after 2^16 rounds.
 const MOST_SOFTWARE_TILES: u32 = 1 << 15;
 
@@ -40,10 +39,8 @@ pub(super) struct Looked {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Order {
     None,
-    /// Sorted in passes, for a direction of view.
-    Gpu([f64; 3]),
-    /// Sorted on the CPU, for what [`visibility::depends_on`] says.
-    Cpu([[f64; 3]; 2]),
+    /// Sorted in passes or on the CPU, for what [`visibility::depends_on`] says.
+    Sorted(CellWay, [[f64; 3]; 2]),
     /// Sorted and cut on the CPU.
     Cut,
 }
@@ -51,8 +48,6 @@ enum Order {
 #[derive(Debug)]
 struct Passes {
     project: Pass,
-    key_all: Pass,
-    key_chosen: Pass,
     count: Pass,
     list: Pass,
     start: Pass,
@@ -61,17 +56,11 @@ struct Passes {
 impl Passes {
     fn new(device: &Device) -> Result<Self, GpuError> {
         let [read, write] = [storage(true), storage(false)];
-        let of_points = [uniform(false), read, write, read, read, write];
-        let place = |entry, all: bool| {
-            let constants = [("ALL", f64::from(u8::from(all)))];
-            Pass::new(device, "place.wgsl", entry, import::CELL_PLACE, &of_points, &constants)
-        };
+        let of_points = [uniform(false), read, write];
         let of_lists = [uniform(false), read, read, read, write, write, write, write];
         let bin = |entry| Pass::new(device, "bin.wgsl", entry, import::CELL_BIN, &of_lists, &[]);
         Ok(Self {
-            project: place("project", true)?,
-            key_all: place("key", true)?,
-            key_chosen: place("key", false)?,
+            project: Pass::new(device, "place.wgsl", "project", import::CELL_PLACE, &of_points, &[])?,
             count: bin("count")?,
             list: bin("list")?,
             start: bin("start")?,
@@ -85,6 +74,8 @@ pub(super) struct Sight {
     passes: Passes,
     sorter: Sorter,
     scanner: Scanner,
+    /// Made when first asked for.
+    ordering: Option<Ordering>,
     sorting: CellWay,
     seen_from: Option<(Camera, [usize; 2])>,
     /// Numbers of the faces that are drawn, where not all are.
@@ -122,6 +113,7 @@ impl Sight {
             passes: Passes::new(device)?,
             sorter: Sorter::new(device)?,
             scanner: Scanner::new(device)?,
+            ordering: None,
             sorting,
             seen_from: None,
             chosen: None,
@@ -237,49 +229,45 @@ impl Sight {
         camera: &Camera,
     ) -> Result<bool, GpuError> {
         let lost_values = self.hold_corners(device, 0)?;
-        let wanted = match self.sorting {
-            CellWay::Cpu => Order::Cpu(visibility::depends_on(camera)),
-            CellWay::Gpu => Order::Gpu(camera.axes()[2]),
-        };
+        let wanted = Order::Sorted(self.sorting, visibility::depends_on(camera));
         let is_sorted = self.order == wanted;
         if !is_sorted {
             self.order = Order::None;
             self.own_faces = None;
             match self.sorting {
                 CellWay::Cpu => self.sort_on_cpu(device, resident, camera)?,
-                CellWay::Gpu => self.hold_order(device, resident.mesh.num_faces())?,
+                CellWay::Gpu => self.sort_on_gpu(device, resident)?,
             }
         }
         self.upload(device);
-        let chosen = self.chosen.as_ref().and_then(|(_, buffer)| buffer.as_ref());
-        let both = [0, 1].map(|i| self.pairs[i].as_ref().unwrap_or(&self.nothing));
-        let resources = [
-            &self.uniform,
-            &resident.points,
-            self.corners(),
-            &resident.faces,
-            chosen.unwrap_or(&self.nothing),
-            self.pairs[0].as_ref().unwrap_or(&self.unwritten),
-        ]
-        .map(|b| b.raw.as_entire_binding());
-        let sorts = !is_sorted && self.sorting == CellWay::Gpu;
+        let resources = [&self.uniform, &resident.points, self.corners()].map(|b| b.raw.as_entire_binding());
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         let mut pass = encoder.begin_compute_pass(&Default::default());
         self.passes.project.run(device, &mut pass, &resources, groups_for(self.data.num_points.into()));
-        if sorts {
-            let key = if chosen.is_some() { &self.passes.key_chosen } else { &self.passes.key_all };
-            key.run(device, &mut pass, &resources, groups_for(self.data.num_faces.into()));
-        }
         drop(pass);
         device.queue.submit([encoder.finish()]);
-        if sorts {
-            let (num, numbers) = (self.data.num_faces, self.numbers.as_ref().unwrap_or(&self.nothing));
-            self.sorter.sort(device, both, num, KEY_BITS, |pass, at| {
-                self.sorter.take(device, pass, [both[at], both[1 - at]], numbers, num);
-            });
-        }
         self.order = wanted;
         Ok(lost_values)
+    }
+
+    fn sort_on_gpu(&mut self, device: &Device, resident: &Resident) -> Result<(), GpuError> {
+        if self.ordering.is_none() {
+            self.ordering = Some(Ordering::new(device, resident)?);
+        }
+        self.hold_order(device, resident.mesh.num_faces())?;
+        self.upload(device);
+        let pairs = [0, 1].map(|i| self.pairs[i].as_ref().unwrap_or(&self.nothing));
+        let wanted = Wanted {
+            sight: &self.uniform,
+            chosen: self.chosen.as_ref().and_then(|(_, buffer)| buffer.as_ref()),
+            num_faces: self.data.num_faces,
+            pairs,
+            numbers: self.numbers.as_ref().unwrap_or(&self.nothing),
+        };
+        if let Some(ordering) = &self.ordering {
+            ordering.sort(device, resident, wanted)?;
+        }
+        Ok(())
     }
 
     /// Sorts on the CPU, and uploads the order.
@@ -522,8 +510,9 @@ fn sight_of(resident: &Resident, camera: &Camera, size: [usize; 2]) -> SightData
         scale: (0.5 * size[1] as f64 / camera.half_height()) as f32,
         middle: size.map(|n| 0.5 * n as f32),
         least_depth: least as f32,
-        keys_per_depth: if most > least { (MOST_KEY / (most - least)) as f32 } else { 0.0 },
+        keys_per_depth: if most > least { (MOST_DEPTH / (most - least)) as f32 } else { 0.0 },
         num_points: resident.mesh.num_points() as u32,
+        num_all_faces: resident.mesh.num_faces() as u32,
         is_perspective: u32::from(matches!(camera.projection(), Projection::Perspective { .. })),
         num_columns: size[0] as u32,
         num_rows: size[1] as u32,
