@@ -163,7 +163,8 @@ fn missing_and_infinite_values_are_those_of_the_cpu() {
 fn span(num: [usize; 3]) -> (Arc<Payload>, Arc<BitMask>) {
     let steps: Vec<Vec<f32>> = (0..64).map(|t| waves(num, f64::from(t) * 0.05)).collect();
     let borrowed: Vec<&[f32]> = steps.iter().map(Vec::as_slice).collect();
-    let mut spans = encode_cells(&borrowed, &CellCodecOptions { entries: 300, max_error: None }, &OneWorker).unwrap();
+    let mut spans =
+        encode_cells(&borrowed, &CellCodecOptions { entries: 300, max_error: None }, &OneWorker).unwrap();
     let mask = BitMask::from_flags((0..steps[0].len()).map(|i| i % 97 == 5));
     (Arc::new(spans.remove(0).payload), Arc::new(mask))
 }

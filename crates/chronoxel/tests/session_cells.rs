@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use chronoxel::player::{CellPlayer, CellPlayerOptions, Late};
 use chronoxel::session::{CellPicture, CellSession, CellShot, Importance, orbit_camera_of};
 use chronoxel_core::{ColorMap, Image, TransferFunction};
-use chronoxel_ingest::sources;
+use chronoxel_ingest::{CellOptions, EncodeOptions, encode_cells, sources};
 use chronoxel_render::GpuPicture;
 
 const NUM_STEPS: usize = 70;
@@ -14,7 +14,8 @@ fn encoded(folder: &Path) -> PathBuf {
     let store = folder.join("twist.cxl");
     let source = [format!("sim:twist?dims=9&steps={NUM_STEPS}")];
     let mut mesh = sources::open_mesh(&source, &Default::default()).unwrap();
-    let options = EncodeOptions { variables: vec![], ..EncodeOptions::default() };
+    let (options, cells) = (EncodeOptions::default(), CellOptions::default());
+    encode_cells(mesh.as_mut(), &store, &options, &cells, &mut |_| {}).unwrap();
     store
 }
 
@@ -44,8 +45,11 @@ fn what_is_played_is_what_is_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let store = encoded(folder.path());
     let (mut drawing, shot) = session(&store);
-    let orders: [Vec<u32>; 3] =
-        [(0..NUM_STEPS as u32).collect(), (0..NUM_STEPS as u32).rev().collect(), vec![3, 69, 3, 0, 64, 63, 1]];
+    let orders: [Vec<u32>; 3] = [
+        (0..NUM_STEPS as u32).collect(),
+        (0..NUM_STEPS as u32).rev().collect(),
+        vec![3, 69, 3, 0, 64, 63, 1],
+    ];
     for order in orders {
         let options = CellPlayerOptions { redraws: true, ..CellPlayerOptions::default() };
         let mut player = CellPlayer::new(session(&store).0, order.clone(), options).unwrap();

@@ -308,10 +308,10 @@ fn fractions_section() -> Section {
         columns: vec![
             here("faces_share", "faces %", Fixed(1)),
             here("luv_over_time", "by change in time", Fixed(2)),
-            here("luv_sampled", "sampled by it", Fixed(2)),
+            here("luv_most", "the most important", Fixed(2)),
             here("luv_one_step", "by one step", Fixed(2)),
             here("psnr_over_time", "PSNR, dB", Fixed(1)),
-            here("psnr_sampled", "sampled", Fixed(1)),
+            here("psnr_most", "the most important", Fixed(1)),
             here("psnr_one_step", "one step", Fixed(1)),
         ],
         rows: Vec::new(),

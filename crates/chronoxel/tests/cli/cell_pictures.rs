@@ -12,7 +12,12 @@ use crate::{
 
 /// Steps of two blocks, of a bar that is twisted, with a pulse in it.
 fn store_in(folder: &Path, form: &str) {
-    done(folder, &format!("encode 'sim:twist?dims=11&steps=70' --variable pulse --as {form} --max-depth 5 -o m.cxl -q"));
+    done(
+        folder,
+        &format!(
+            "encode 'sim:twist?dims=11&steps=70' --variable pulse --as {form} --max-depth 5 -o m.cxl -q"
+        ),
+    );
 }
 
 /// What pictures have in common here.
@@ -28,7 +33,9 @@ fn a_store_of_both_draws_one_scene_in_two_ways() {
     let folder = folder.path();
     store_in(folder, "both");
     for camera in ["", "--azimuth 200 --elevation -35 --ortho", "--zoom 2 --fov 50"] {
-        let render = |method: &str| json(folder, &format!("render m.cxl -t 9 {SMALL} {camera} --method {method} -o {method}.png"));
+        let render = |method: &str| {
+            json(folder, &format!("render m.cxl -t 9 {SMALL} {camera} --method {method} -o {method}.png"))
+        };
         let (rays, cells) = (render("raycast"), render("cells"));
         for key in ["opacity_unit", "size", "step", "time"] {
             assert_eq!(at(&rays, key), at(&cells, key), "{key}");
@@ -108,7 +115,11 @@ fn neither_threads_nor_memory_nor_the_verb_change_a_picture() {
     store_in(folder, "cells");
     for more in ["", "--lighting on --k 16", "--lod 0.1 --lod-steps 0:66:3", "--lod 0.1 --lod-by static"] {
         let draw = |how: &str| {
-            json(folder, &format!("render m.cxl -t 65 {SMALL} {more} {how} -o x.png").replace("--lighting off --lighting on", "--lighting on"));
+            json(
+                folder,
+                &format!("render m.cxl -t 65 {SMALL} {more} {how} -o x.png")
+                    .replace("--lighting off --lighting on", "--lighting on"),
+            );
             bytes(folder, "x.png")
         };
         let once = draw("--threads 1");
@@ -117,7 +128,11 @@ fn neither_threads_nor_memory_nor_the_verb_change_a_picture() {
     done(folder, &format!("movie m.cxl --steps 62:68 {SMALL} -o 'f/{{frame:02}}.png' -q"));
     for (frame, step) in (62..68).enumerate() {
         done(folder, &format!("render m.cxl -t {step} {SMALL} -o x.png -q"));
-        assert_eq!(picture(folder.join(format!("f/{frame:02}.png"))), picture(folder.join("x.png")), "{step}");
+        assert_eq!(
+            picture(folder.join(format!("f/{frame:02}.png"))),
+            picture(folder.join("x.png")),
+            "{step}"
+        );
     }
 }
 
@@ -173,16 +188,19 @@ fn playing_decodes_ahead_and_reports() {
     assert_eq!((number(&report, "frames"), at(&report, "method")), (140.0, &"cells".into()));
     assert_eq!(number(&report, "cache.hits") + number(&report, "cache.misses"), 140.0);
     assert!(number(&report, "payload_bytes_peak") <= number(&report, "payload_bytes_budget"));
-    for key in ["fps.mean", "frame_ms.p50", "step_ms.p50", "cpu_ms.p50", "bytes_from_disk", "peak_rss_bytes"] {
+    for key in ["fps.mean", "frame_ms.p50", "step_ms.p50", "cpu_ms.p50", "bytes_from_disk", "peak_rss_bytes"]
+    {
         assert!(number(&report, key) >= 0.0, "{key}");
     }
     let csv = fs::read_to_string(folder.join("frames.csv")).unwrap();
-    let steps: Vec<usize> = csv.lines().skip(1).map(|l| l.split(',').nth(1).unwrap().parse().unwrap()).collect();
+    let steps: Vec<usize> =
+        csv.lines().skip(1).map(|l| l.split(',').nth(1).unwrap().parse().unwrap()).collect();
     assert_eq!(steps, (0..140).map(|frame| frame % 70).collect::<Vec<_>>());
     assert!(csv.starts_with("frame,step,frame_ms,"));
     // Backwards, turning, along a path, at a speed that the machine may or may not hold.
     json(folder, &format!("play m.cxl {SMALL} --reverse --orbit 90 --frames 12"));
-    let held = json(folder, &format!("play m.cxl {SMALL} --target-fps 40 --late drop --throttle 10MB --frames 12"));
+    let held =
+        json(folder, &format!("play m.cxl {SMALL} --target-fps 40 --late drop --throttle 10MB --frames 12"));
     assert_eq!(at(&held, "cells.lod_by"), "variation");
 }
 

@@ -5,7 +5,8 @@ use std::{path::Path, sync::Arc};
 use chronoxel_core::{Background, Image, Image8, ImageDifference, compare};
 use chronoxel_ingest::{EncodeOptions, MeshSeries, VoxelOptions, encode_mesh};
 use chronoxel_render::{
-    CellMesh, CellOptions, CellRenderer, CellScene, FaceChoice, Variation, static_importance,
+    CellMesh, CellOptions, CellRenderer, CellScene, FaceChoice, FaceOrder, LevelBorders, Variation,
+    static_importance,
 };
 use chronoxel_store::CellStore;
 use serde_json::{Value, json};
@@ -17,7 +18,7 @@ use crate::{
     session::{Session, View},
 };
 
-/// Fractions of the faces, as in figures 4 and 5.
+/// Fractions of the faces within, as in figures 4 and 5.
 const FRACTIONS: [f64; 3] = [0.05, 0.1, 0.25];
 /// Twentieths of the faces are plotted.
 const TWENTIETHS: usize = 20;
@@ -68,8 +69,12 @@ pub fn rows_of_fractions(
     let shown: Vec<Vec<f32>> = shown.into_iter().collect::<Result<_, _>>()?;
     let mut first = vec![0.0; mesh.num_points()];
     steps.decode(0, &mut first)?;
-    let over_time = variation(store)?.importance(mesh, scenes[0].value_range);
-    let of_one = static_importance(mesh, &first, SEED);
+    let (variation, range) = (variation(store)?, scenes[0].value_range);
+    let orders = [
+        ("over_time", variation.order(mesh, range)),
+        ("most", FaceOrder::by_importance(mesh, &variation.importance(mesh, range))),
+        ("one_step", FaceOrder::by_importance(mesh, &static_importance(mesh, &first, SEED))),
+    ];
     let mut renderer = CellRenderer::new(Arc::clone(mesh), CellOptions::default())?;
     let mut draw = |choice: Option<FaceChoice>| -> anyhow::Result<Vec<Image8>> {
         interrupt::check()?;
@@ -86,14 +91,10 @@ pub fn rows_of_fractions(
     let mut rows = Vec::new();
     for fraction in FRACTIONS {
         let mut here = object(json!({}));
-        let choices = [
-            ("over_time", FaceChoice::new(mesh, &over_time, fraction)),
-            ("sampled", FaceChoice::sampled(mesh, &over_time, fraction, SEED)),
-            ("one_step", FaceChoice::new(mesh, &of_one, fraction)),
-        ];
-        for (name, choice) in choices {
-            let num_faces = choice.num_faces();
-            let pictures = draw(Some(choice))?;
+        for (name, order) in &orders {
+            let choice = order.choose(fraction);
+            let num_faces = choice.as_ref().map_or(mesh.num_faces(), FaceChoice::num_faces);
+            let pictures = draw(choice)?;
             let differences: Vec<ImageDifference> =
                 all.iter().zip(&pictures).map(|(a, b)| compare(a, b)).collect::<Result<_, _>>()?;
             let (luv, psnr) = mean(&differences);
@@ -165,7 +166,7 @@ pub fn against_bricks(
     let variable = store.header().variables[0].name.clone();
     let bricks = draw_bricks(series, &variable, &path, scene, step, (size, memory_bytes))?;
     place.remove(&path)?;
-    let importance = variation(store)?.importance(mesh, scene.value_range);
+    let order = variation(store)?.order(mesh, scene.value_range);
     let mut rows = Vec::new();
     for (level, picture) in bricks.iter().enumerate() {
         let found = compare(&all, picture)?;
@@ -180,7 +181,7 @@ pub fn against_bricks(
     for twentieth in 0..=TWENTIETHS {
         interrupt::check()?;
         let fraction = twentieth as f64 / TWENTIETHS as f64;
-        renderer.choose(Some(FaceChoice::new(mesh, &importance, fraction)));
+        renderer.choose(order.choose(fraction));
         let picture = over_black(&renderer.render(scene, &values)?.0);
         let (from_bricks, from_cells) = (compare(&bricks[0], &picture)?, compare(&all, &picture)?);
         luv_bricks.push(from_bricks.luv_mean);
@@ -203,7 +204,7 @@ pub fn against_bricks(
     let plot = Plot {
         file: "bricks-and-cells".to_owned(),
         title: format!("{label}: cells by level of detail, against the finest bricks and against all cells"),
-        x_label: "faces drawn, twentieths of all; the boundary is always kept".to_owned(),
+        x_label: "faces drawn, twentieths of those within; the boundary is always kept".to_owned(),
         panels: vec![
             panel("L*u*v* distance", vec![line("bricks", luv_bricks), line("all cells", luv_cells)]),
             panel("PSNR (dB)", vec![line("bricks", psnr_bricks), line("all cells", psnr_cells)]),
@@ -246,6 +247,7 @@ fn draw_bricks(
             lighting: scene.lighting,
             opacity_unit: scene.opacity_unit,
             level,
+            level_borders: LevelBorders::default(),
             coherence: None,
         };
         pictures.push(over_black(&session.draw(&view, 0)?.image));
