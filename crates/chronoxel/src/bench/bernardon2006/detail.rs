@@ -5,8 +5,7 @@ use std::{path::Path, sync::Arc};
 use chronoxel_core::{Background, Image, Image8, ImageDifference, compare};
 use chronoxel_ingest::{EncodeOptions, MeshSeries, VoxelOptions, encode_mesh};
 use chronoxel_render::{
-    CellMesh, CellOptions, CellRenderer, CellScene, FaceChoice, FaceOrder, LevelBorders, Variation,
-    static_importance,
+    CellMesh, CellOptions, CellRenderer, CellScene, FaceChoice, FaceOrder, Variation, static_importance,
 };
 use chronoxel_store::CellStore;
 use serde_json::{Value, json};
@@ -247,7 +246,7 @@ fn draw_bricks(
             lighting: scene.lighting,
             opacity_unit: scene.opacity_unit,
             level,
-            level_borders: LevelBorders::default(),
+            level_borders: Default::default(),
             coherence: None,
         };
         pictures.push(over_black(&session.draw(&view, 0)?.image));
