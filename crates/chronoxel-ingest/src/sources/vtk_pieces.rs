@@ -254,7 +254,7 @@ impl Joined {
         let [points, cells] = [0, 1].map(|which| {
             hidden[which].iter().zip(&shown[which]).map(|(hidden, shown)| *hidden && !*shown).collect()
         });
-        let blocks = vec![Block { dims, first_point: 0 }];
+        let blocks = vec![Block { dims, first_point: 0, is_exchanged: false }];
         Ok(Topology::Blocks(Blocks { blocks, blanked: Blanked::new(points, cells) }))
     }
 
