@@ -96,7 +96,8 @@ fn bounds_hold_and_what_is_reported_is_so() {
             [store.header().variables[0].min.unwrap(), store.header().variables[0].max.unwrap()];
         let spans = [0, 1].map(|block| store.spans(0, block).unwrap());
         let largest = spans.iter().flat_map(|spans| spans.iter()).map(|s| s.max_error).fold(0.0, f64::max);
-        assert!((largest / (high - low) / errors.errors.max_abs_error - 1.0).abs() < 1e-3);
+        let ratio = largest / (high - low) / errors.errors.max_abs_error;
+        assert!((1.0 - 1e-6..1.02).contains(&ratio), "what rounding to f32 may add is in it: {ratio}");
         assert!(encode(&mut source, &path, &options, 64).unwrap_err().to_string().contains("already exists"));
     }
 }

@@ -24,7 +24,7 @@ pub struct CellMesh {
     pub(crate) tetrahedra: Vec<[u32; 4]>,
     pub(crate) faces: Vec<Face>,
     /// The tetrahedron on the side of each face that its normal points to, and that on the other, or [`NO_CELL`].
-    pub(super) sides: Vec<[u32; 2]>,
+    pub(crate) sides: Vec<[u32; 2]>,
     /// Faces of each tetrahedron.
     pub(super) faces_of_cells: Vec<[u32; 4]>,
     pub(crate) longest_edge: f64,

@@ -286,9 +286,9 @@ fn bernardon2006_stands_beside_what_was_measured() {
         assert!(number(row, "here.fragments") > 1000.0, "{row}");
         assert!(k == 2 || number(row, "here.misordered") == 0.0, "{row}");
     }
-    let parts = "Figures 4 and 5, pictures with a part of the faces, L*u*v* distance to all";
+    let parts = "Figures 4 and 5, pictures with a part of the faces, L*u*v* distance to all of them";
     let [few, many] = [5, 25].map(|share| &rows[&format!("{parts}: {twist}: {share} %")]);
-    assert!(number(few, "here.luv_over_time") >= number(many, "here.luv_over_time"), "{few} {many}");
+    assert!(number(few, "here.luv_spread") >= number(many, "here.luv_spread"), "{few} {many}");
     let bricks =
         &rows[&format!("The same mesh as bricks and as cells: {twist}: bricks of level 0, all cells")];
     assert!(number(bricks, "here.psnr_db") > 20.0, "{bricks}");

@@ -14,7 +14,7 @@ use super::{Row, Size, object, speed::Steps};
 use crate::{
     bench::{Line, Panel, Plot, Workplace},
     interrupt,
-    session::{Session, View},
+    session::{LevelBorders, Session, View},
 };
 
 /// Fractions of the faces within, as in figures 4 and 5.
@@ -49,7 +49,8 @@ fn variation(store: &CellStore) -> anyhow::Result<Variation> {
     Ok(variation)
 }
 
-/// Rows of pictures with a part of the faces: chosen by how values change in time, and by those of one step.
+/// Rows of pictures with a part of the faces: by how values change in time, spread over the mesh as they are drawn elsewhere or the most
+/// important ones alone as in the paper, and by the values of one step.
 ///
 /// # Errors
 /// If the store is damaged or Ctrl-C was pressed.
@@ -68,10 +69,10 @@ pub fn rows_of_fractions(
     let shown: Vec<Vec<f32>> = shown.into_iter().collect::<Result<_, _>>()?;
     let mut first = vec![0.0; mesh.num_points()];
     steps.decode(0, &mut first)?;
-    let (variation, range) = (variation(store)?, scenes[0].value_range);
+    let (variation, value_range) = (variation(store)?, scenes[0].value_range);
     let orders = [
-        ("over_time", variation.order(mesh, range)),
-        ("most", FaceOrder::by_importance(mesh, &variation.importance(mesh, range))),
+        ("spread", variation.order(mesh, value_range)),
+        ("largest", FaceOrder::by_importance(mesh, &variation.importance(mesh, value_range))),
         ("one_step", FaceOrder::by_importance(mesh, &static_importance(mesh, &first, SEED))),
     ];
     let mut renderer = CellRenderer::new(Arc::clone(mesh), CellOptions::default())?;
@@ -246,7 +247,7 @@ fn draw_bricks(
             lighting: scene.lighting,
             opacity_unit: scene.opacity_unit,
             level,
-            level_borders: Default::default(),
+            level_borders: LevelBorders::default(),
             coherence: None,
         };
         pictures.push(over_black(&session.draw(&view, 0)?.image));

@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Instant};
 use chronoxel_render::{CellRenderer, CellScene};
 use chronoxel_store::{CellPayload, CellStore};
 
-use crate::interrupt;
+use crate::{interrupt, process::resource_usage};
 
 /// What drawing costs.
 pub struct Speed {
@@ -15,6 +15,8 @@ pub struct Speed {
     pub moving_secs: f64,
     /// Of decoding a step alone.
     pub decode_secs: f64,
+    /// Processor time that moving frames took beyond that of still ones, as a share of it; where the system tells.
+    pub extra_cpu: Option<f64>,
 }
 
 /// Takes steps of a store one after another.
@@ -61,15 +63,17 @@ pub fn measure(
     let (mut values, mut next) = (vec![0.0; num_points], vec![0.0; num_points]);
     steps.decode(0, &mut values)?;
     let [mut still, mut moving, mut decoding] = [(); 3].map(|()| Vec::new());
+    let mut cpu = [0.0; 2];
     for scene in scenes {
         // Sorting and binning are of the view, not of a step.
         renderer.render(scene, &values)?;
         for frame in 0..num_frames {
             interrupt::check()?;
             // Of the same values as the moving frame, or what is opaque would differ.
-            let start = Instant::now();
+            let (start, before) = (Instant::now(), cpu_secs());
             renderer.render(scene, &values)?;
             still.push(start.elapsed().as_secs_f64());
+            let between = cpu_secs();
             let step = (frame + 1) % num_steps;
             let start = Instant::now();
             std::thread::scope(|scope| -> anyhow::Result<()> {
@@ -78,6 +82,7 @@ pub fn measure(
                 decoder.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
             })?;
             moving.push(start.elapsed().as_secs_f64());
+            cpu = [cpu[0] + between - before, cpu[1] + cpu_secs() - between];
             std::mem::swap(&mut values, &mut next);
             let start = Instant::now();
             steps.decode(step, &mut values)?;
@@ -85,7 +90,13 @@ pub fn measure(
         }
     }
     let [still_secs, moving_secs, decode_secs] = [still, moving, decoding].map(median);
-    Ok(Speed { still_secs, moving_secs, decode_secs })
+    let extra_cpu = (cpu[0] > 0.0).then(|| cpu[1] / cpu[0] - 1.0);
+    Ok(Speed { still_secs, moving_secs, decode_secs, extra_cpu })
+}
+
+/// Processor time so far, 0 where the system does not tell.
+fn cpu_secs() -> f64 {
+    resource_usage().map_or(0.0, |usage| usage.cpu_secs)
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
