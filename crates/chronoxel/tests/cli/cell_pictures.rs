@@ -237,3 +237,21 @@ fn damage_is_an_error_that_names_the_file() {
     }
     assert!(num_failed >= 12, "{num_failed}");
 }
+
+/// The program's code, the stacks of its threads, what the allocator keeps, and the picture on its way.
+const BASE_BYTES: f64 = 32.0 * 1048576.0;
+
+#[test]
+fn memory_is_what_was_allowed_or_the_mesh_is_refused() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    done(folder, "encode 'sim:twist?dims=37&steps=3' --variable pulse --as cells -o m.cxl -q");
+    for (lod, memory_mib) in [("", 64.0), ("--lod 0.2", 64.0), ("--lighting on", 72.0)] {
+        let line = format!("play m.cxl {SMALL} {lod} --orbit 40 --frames 6 --memory {memory_mib}MiB");
+        let report = json(folder, &line.replace("--lighting off --lighting on", "--lighting on"));
+        let peak = number(&report, "peak_rss_bytes");
+        println!("{lod} --memory {memory_mib} MiB: {:.1} MiB resident at most", peak / 1048576.0);
+        assert!(peak < memory_mib * 1048576.0 + BASE_BYTES, "{peak} bytes");
+    }
+    refused(folder, &format!("play m.cxl {SMALL} --memory 40MiB"), &["233280 tetrahedra", "raise it"]);
+}
