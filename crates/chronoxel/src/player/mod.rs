@@ -92,6 +92,8 @@ pub struct Played {
     pub num_drawn: usize,
     /// Of these, those that are coarser than was asked for, and would look different finer.
     pub num_coarse: usize,
+    /// What drawing them was expected to cost: samples along rays, and a quarter of those to decode.
+    pub expected_cost: f64,
     /// Mean edge of a voxel in pixels over the nodes that are drawn.
     pub pixels_per_voxel: f64,
     /// The largest of them.
@@ -294,6 +296,7 @@ impl Player {
             num_nodes: adapted.num_nodes,
             num_drawn: adapted.num_drawn,
             num_coarse: adapted.num_coarse,
+            expected_cost: adapted.cost,
             pixels_per_voxel: adapted.pixels_per_voxel,
             most_pixels_per_voxel: adapted.most_pixels_per_voxel,
             is_settled,
@@ -368,6 +371,7 @@ impl Played {
             num_nodes: 0,
             num_drawn: 0,
             num_coarse: 0,
+            expected_cost: 0.0,
             pixels_per_voxel: 0.0,
             most_pixels_per_voxel: 0.0,
             is_settled: false,
