@@ -187,6 +187,10 @@ fn steps_are_decoded_alike_and_cost_a_row_number() {
     let scene = scene(&mesh, "filled", [64, 48], Some(30.0), true);
     let Some(mut gpu) = with_k(&mesh, 6) else { return };
     for missing in [None, Some(&mask)] {
+        // The payload of the second comes before it is drawn.
+        if missing.is_some() {
+            gpu.prepare(&coded(&payload, 0, missing)).unwrap();
+        }
         for (i, step) in [0, 9, 63].into_iter().enumerate() {
             let mut values = vec![0.0; mesh.num_points()];
             decode_points(&payload, step, &mut values).unwrap();
@@ -197,13 +201,13 @@ fn steps_are_decoded_alike_and_cost_a_row_number() {
             gpu.set_decoding(CellWay::Cpu);
             let (found, stats) = gpu.render(&scene, &coded(&payload, step, missing)).unwrap();
             assert_same("decoded on the CPU", &found, &expected);
-            assert!(stats.bytes_uploaded >= 4 * values.len() as u64 && stats.payloads_uploaded == 0);
+            assert!(stats.bytes_uploaded >= 4 * values.len() as u64);
+            assert_eq!(stats.payloads_uploaded, usize::from(i == 0 && missing.is_some()));
             gpu.set_decoding(CellWay::Gpu);
             let (found, stats) = gpu.render(&scene, &coded(&payload, step, missing)).unwrap();
             assert_same("decoded in a pass", &found, &expected);
-            assert_eq!(stats.payloads_uploaded, usize::from(i == 0));
+            assert_eq!(stats.payloads_uploaded, usize::from(i == 0 && missing.is_none()));
             assert!(i == 0 || stats.bytes_uploaded < 1024, "{stats:?}");
-            assert!(!stats.cells.view_changed || stats.bytes_uploaded > 1 << 20);
             // The same step again: nothing is decoded.
             let (again, stats) = gpu.render(&scene, &coded(&payload, step, missing)).unwrap();
             assert_eq!(again.pixels, found.pixels);
@@ -303,6 +307,19 @@ fn little_memory_draws_the_same_picture_in_portions() {
     }
     println!("{num_portions:?} portions");
     assert!(num_portions.iter().any(|n| *n > 1), "{num_portions:?}");
+}
+
+#[test]
+fn large_pictures_are_those_of_the_cpu() {
+    let num = [2, 2, 2];
+    let mesh = Arc::new(twisted(num));
+    let values = waves(num, 0.5);
+    // More tiles than programs on the CPU list at once.
+    let scene = scene(&mesh, "filled", [1999, 1203], Some(30.0), false);
+    let Some(mut gpu) = with_k(&mesh, 6) else { return };
+    let (found, stats) = on_gpu(&mut gpu, &scene, &values);
+    assert_same("large", &found, &on_cpu(&mesh, &scene, &values, 6).0);
+    assert_eq!(stats.num_portions, if gpu.info().is_software { 2 } else { 1 });
 }
 
 #[test]

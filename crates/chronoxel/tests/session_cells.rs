@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use chronoxel::player::{CellPlayer, CellPlayerOptions, Late};
 use chronoxel::session::{CellPicture, CellSession, CellShot, Importance, orbit_camera_of};
 use chronoxel_core::{ColorMap, Image, TransferFunction};
-use chronoxel_ingest::sources;
+use chronoxel_ingest::{CellOptions, EncodeOptions, encode_cells, sources};
 use chronoxel_render::GpuPicture;
 
 const NUM_STEPS: usize = 70;
@@ -14,7 +14,8 @@ fn encoded(folder: &Path) -> PathBuf {
     let store = folder.join("twist.cxl");
     let source = [format!("sim:twist?dims=9&steps={NUM_STEPS}")];
     let mut mesh = sources::open_mesh(&source, &Default::default()).unwrap();
-    let options = EncodeOptions { variables: vec![], ..EncodeOptions::default() };
+    let (options, cells) = (EncodeOptions::default(), CellOptions::default());
+    encode_cells(mesh.as_mut(), &store, &options, &cells, &mut |_| {}).unwrap();
     store
 }
 

@@ -176,7 +176,7 @@ pub(super) struct SightData {
     pub num_tile_rows: u32,
     pub per_half_longest: f32,
     pub first_row: u32,
-    pub padding: u32,
+    pub num_all_faces: u32,
 }
 
 /// `Scan` of `cells/scan.wgsl`.

@@ -29,6 +29,8 @@ pub(super) const SLICES: &str = include_str!("shaders/slices.wgsl");
 pub(super) const CELL_BIN: &str = include_str!("shaders/cells/bin.wgsl");
 /// Finds gradients on a mesh.
 pub(super) const CELL_GRADIENTS: &str = include_str!("shaders/cells/gradients.wgsl");
+/// Finds the order of the faces of a mesh.
+pub(super) const CELL_ORDER: &str = include_str!("shaders/cells/order.wgsl");
 /// Projects the points of a mesh.
 pub(super) const CELL_PLACE: &str = include_str!("shaders/cells/place.wgsl");
 /// Sums numbers.

@@ -8,8 +8,8 @@ use super::host::{
     ScanData, SightData, StageData, ValuesData, ViewData,
 };
 use super::import::{
-    BYTES, CELL_BIN, CELL_GRADIENTS, CELL_PLACE, CELL_SCAN, CELL_SORT, CELL_TILES, CELL_VALUES, DECODE,
-    RAYCAST, SHARED, SLICES, with_imports,
+    BYTES, CELL_BIN, CELL_GRADIENTS, CELL_ORDER, CELL_PLACE, CELL_SCAN, CELL_SORT, CELL_TILES, CELL_VALUES,
+    DECODE, RAYCAST, SHARED, SLICES, with_imports,
 };
 
 #[track_caller]
@@ -68,9 +68,10 @@ fn every_shader_is_valid() {
 }
 
 /// Shaders that draw meshes.
-const CELLS: [(&str, &str); 7] = [
+const CELLS: [(&str, &str); 8] = [
     ("bin.wgsl", CELL_BIN),
     ("gradients.wgsl", CELL_GRADIENTS),
+    ("order.wgsl", CELL_ORDER),
     ("place.wgsl", CELL_PLACE),
     ("scan.wgsl", CELL_SCAN),
     ("sort.wgsl", CELL_SORT),
@@ -131,6 +132,7 @@ fn structs_of_meshes_are_laid_out_alike() {
             num_tile_rows,
             per_half_longest,
             first_row,
+            num_all_faces,
         })
     );
     assert_eq!(layout_in(&scan, "Scan"), layout_of!(ScanData { num, part }));

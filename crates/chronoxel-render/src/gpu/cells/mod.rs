@@ -1,9 +1,10 @@
 //! Tetrahedra drawn on the GPU, the picture of [`CellRenderer`](crate::CellRenderer).
 //!
-//! Points and faces stay there. A camera that turns costs a radix sort of the faces, any new camera a projection and the
-//! lists of the tiles, all in compute passes; a step costs one value per point, or a row number where a pass decodes it.
+//! Points and faces stay there. A camera that turns costs a sort of the faces, any new camera a projection and the lists of
+//! the tiles, all in compute passes; a step costs one value per point, or a row number where a pass decodes it.
 //! A workgroup takes a tile, and each of its invocations a pixel, with a buffer of `k` fragments in registers.
 
+mod order;
 mod passes;
 mod resident;
 mod sight;
@@ -44,10 +45,9 @@ impl CellWay {
         Self::Gpu
     }
 
-    /// The way to sort on adapters of a kind: the CPU's, in the order in which rays meet the faces. Passes sort by depths of centroids,
-    /// which is faster, and wrong for cells that are much longer than wide.
-    pub fn for_sorting(_info: &GpuInfo) -> Self {
-        Self::Cpu
+    /// The faster way to sort on adapters of a kind: programs on the CPU take several times as long for it as the CPU itself.
+    pub fn for_sorting(info: &GpuInfo) -> Self {
+        if info.is_software { Self::Cpu } else { Self::Gpu }
     }
 }
 

@@ -1,18 +1,19 @@
-//! A mesh as a camera sees it: points projected, faces sorted by depth and listed for each tile, in compute passes.
+//! A mesh as a camera sees it: points projected, faces put into order and listed for each tile, in compute passes.
 //!
-//! Where a part of the mesh lies beside or behind the camera, the plane where it begins to see cuts tetrahedra: then
-//! [`Seen`] does the sorting and cutting on the CPU, and tiles are listed here all the same.
+//! The order in which rays meet the faces may be the CPU's, and be uploaded when it changes. Where a part of the mesh lies
+//! beside or behind the camera, the plane where it begins to see cuts tetrahedra: then [`Seen`] does the projecting and
+//! cutting on the CPU as well, and tiles are listed here all the same.
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_core::{Camera, Projection};
 
 use super::CellWay;
+use super::order::{Ordering, Wanted};
 use super::passes::{Pass, groups_for, hold, most_binding, storage_buffer, upload_all};
 use super::resident::{Resident, face_words};
 use super::sorter::{Scanner, Sorter};
-use crate::cells::FaceChoice;
 use crate::cells::view::{Seen, ViewFace, is_all_seen};
-use crate::cells::visibility;
+use crate::cells::{CellMesh, FaceChoice, visibility};
 use crate::gpu::device::{Device, storage, uniform};
 use crate::gpu::host::{CutData, SightData};
 use crate::gpu::memory::Buffer;
@@ -21,10 +22,8 @@ use crate::gpu::{GpuError, import};
 
 /// Columns and rows of a tile; `TILE` of `shared/sight.wgsl`.
 pub(super) const TILE: usize = 8;
-/// Bits of the keys that faces are sorted by: as many as a float tells apart.
-const KEY_BITS: u32 = 24;
-/// The largest key; `MOST_KEY` of `cells/place.wgsl`.
-const MOST_KEY: f64 = ((1u32 << KEY_BITS) - 1) as f64;
+/// The largest depth by which faces are sorted, as floats tell depths apart; `MOST_DEPTH` of `cells/order.wgsl`.
+const MOST_DEPTH: f64 = ((1u32 << 24) - 1) as f64;
 /// The most tiles that are listed at once by programs on the CPU: their loops end after 2^16 rounds.
 const MOST_SOFTWARE_TILES: u32 = 1 << 15;
 
@@ -40,17 +39,15 @@ pub(super) struct Looked {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Order {
     None,
-    /// Sorted here, for a direction of view.
-    Gpu([f64; 3]),
+    /// Sorted in passes or on the CPU, for what [`visibility::depends_on`] says.
+    Sorted(CellWay, [[f64; 3]; 2]),
     /// Sorted and cut on the CPU.
-    Cpu,
+    Cut,
 }
 
 #[derive(Debug)]
 struct Passes {
     project: Pass,
-    key_all: Pass,
-    key_chosen: Pass,
     count: Pass,
     list: Pass,
     start: Pass,
@@ -59,17 +56,11 @@ struct Passes {
 impl Passes {
     fn new(device: &Device) -> Result<Self, GpuError> {
         let [read, write] = [storage(true), storage(false)];
-        let of_points = [uniform(false), read, write, read, read, write];
-        let place = |entry, all: bool| {
-            let constants = [("ALL", f64::from(u8::from(all)))];
-            Pass::new(device, "place.wgsl", entry, import::CELL_PLACE, &of_points, &constants)
-        };
+        let of_points = [uniform(false), read, write];
         let of_lists = [uniform(false), read, read, read, write, write, write, write];
         let bin = |entry| Pass::new(device, "bin.wgsl", entry, import::CELL_BIN, &of_lists, &[]);
         Ok(Self {
-            project: place("project", true)?,
-            key_all: place("key", true)?,
-            key_chosen: place("key", false)?,
+            project: Pass::new(device, "place.wgsl", "project", import::CELL_PLACE, &of_points, &[])?,
             count: bin("count")?,
             list: bin("list")?,
             start: bin("start")?,
@@ -83,12 +74,14 @@ pub(super) struct Sight {
     passes: Passes,
     sorter: Sorter,
     scanner: Scanner,
+    /// Made when first asked for.
+    ordering: Option<Ordering>,
     sorting: CellWay,
     seen_from: Option<(Camera, [usize; 2])>,
     /// Numbers of the faces that are drawn, where not all are.
     chosen: Option<(Vec<u32>, Option<Buffer>)>,
     order: Order,
-    /// The order on the CPU, and for which direction of view.
+    /// The order on the CPU, and what it depends on.
     cpu_order: Option<([[f64; 3]; 2], Vec<u32>)>,
     pub data: SightData,
     pub uniform: Buffer,
@@ -102,7 +95,9 @@ pub(super) struct Sight {
     starts: Option<Buffer>,
     totals: Buffer,
     totals_read: Buffer,
+    /// In place of what is only read, and of what may be written: one buffer must not be both.
     nothing: Buffer,
+    unwritten: Buffer,
     /// The rows of tiles that are listed, first and number, and which pairs they are in.
     listed: Option<([u32; 2], usize)>,
     /// Faces in the picture, and pairs of tile and face.
@@ -118,6 +113,7 @@ impl Sight {
             passes: Passes::new(device)?,
             sorter: Sorter::new(device)?,
             scanner: Scanner::new(device)?,
+            ordering: None,
             sorting,
             seen_from: None,
             chosen: None,
@@ -135,6 +131,7 @@ impl Sight {
             totals: storage_buffer(device, "totals", 16, Usage::COPY_DST | Usage::COPY_SRC)?,
             totals_read: device.buffer("totals to read", 16, Usage::COPY_DST | Usage::MAP_READ)?,
             nothing: storage_buffer(device, "nothing", 16, Usage::empty())?,
+            unwritten: storage_buffer(device, "nothing", 16, Usage::empty())?,
             listed: None,
             num_seen: 0,
             num_pairs: 0,
@@ -188,7 +185,7 @@ impl Sight {
 
     fn faces<'a>(&'a self, resident: &'a Resident) -> &'a Buffer {
         match self.order {
-            Order::Cpu => self.own_faces.as_ref().unwrap_or(&self.nothing),
+            Order::Cut => self.own_faces.as_ref().unwrap_or(&self.nothing),
             _ => &resident.faces,
         }
     }
@@ -213,66 +210,104 @@ impl Sight {
         (self.seen_from, self.listed) = (None, None);
         let span = timer.begin_alone(device, Span::View);
         self.data = SightData { num_faces: self.data.num_faces, ..sight_of(resident, camera, size) };
-        let is_cut = !is_all_seen(&resident.mesh, camera);
-        let lost_values = if is_cut || self.sorting == CellWay::Cpu {
-            self.look_on_cpu(device, resident, camera, size)?;
-            true
+        let lost_values = if is_all_seen(&resident.mesh, camera) {
+            self.look_at_all(device, resident, camera)?
         } else {
-            self.look_on_gpu(device, resident, camera)?
+            self.look_and_cut(device, resident, camera, size)?;
+            true
         };
         timer.end_alone(device, span);
         self.seen_from = Some((*camera, size));
         Ok(Looked { has_changed: true, lost_values })
     }
 
-    fn look_on_gpu(
+    /// Projects points, and sorts faces if they are not in order; says whether points lost their values.
+    fn look_at_all(
         &mut self,
         device: &Device,
         resident: &Resident,
         camera: &Camera,
     ) -> Result<bool, GpuError> {
-        let forward = camera.axes()[2];
         let lost_values = self.hold_corners(device, 0)?;
-        let is_sorted = self.order == Order::Gpu(forward);
+        let wanted = Order::Sorted(self.sorting, visibility::depends_on(camera));
+        let is_sorted = self.order == wanted;
         if !is_sorted {
             self.order = Order::None;
-            self.hold_order(device, resident.mesh.num_faces())?;
+            self.own_faces = None;
+            match self.sorting {
+                CellWay::Cpu => self.sort_on_cpu(device, resident, camera)?,
+                CellWay::Gpu => self.sort_on_gpu(device, resident)?,
+            }
         }
         self.upload(device);
-        let chosen = self.chosen.as_ref().and_then(|(_, buffer)| buffer.as_ref());
-        let [first, second] = [0, 1].map(|i| self.pairs[i].as_ref().unwrap_or(&self.nothing));
-        let numbers = self.numbers.as_ref().unwrap_or(&self.nothing);
-        let resources = [
-            &self.uniform,
-            &resident.points,
-            self.corners(),
-            &resident.faces,
-            chosen.unwrap_or(&self.nothing),
-            first,
-        ]
-        .map(|b| b.raw.as_entire_binding());
+        let resources = [&self.uniform, &resident.points, self.corners()].map(|b| b.raw.as_entire_binding());
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         let mut pass = encoder.begin_compute_pass(&Default::default());
         self.passes.project.run(device, &mut pass, &resources, groups_for(self.data.num_points.into()));
-        if !is_sorted {
-            let key = if chosen.is_some() { &self.passes.key_chosen } else { &self.passes.key_all };
-            key.run(device, &mut pass, &resources, groups_for(self.data.num_faces.into()));
-        }
         drop(pass);
         device.queue.submit([encoder.finish()]);
-        if !is_sorted {
-            let (both, num) = ([first, second], self.data.num_faces);
-            self.sorter.sort(device, both, num, KEY_BITS, |pass, at| {
-                self.sorter.take(device, pass, [both[at], both[1 - at]], numbers, num);
-            });
-            self.order = Order::Gpu(forward);
-        }
+        self.order = wanted;
         Ok(lost_values)
+    }
+
+    fn sort_on_gpu(&mut self, device: &Device, resident: &Resident) -> Result<(), GpuError> {
+        if self.ordering.is_none() {
+            self.ordering = Some(Ordering::new(device, resident)?);
+        }
+        self.hold_order(device, resident.mesh.num_faces())?;
+        self.upload(device);
+        let pairs = [0, 1].map(|i| self.pairs[i].as_ref().unwrap_or(&self.nothing));
+        let wanted = Wanted {
+            sight: &self.uniform,
+            chosen: self.chosen.as_ref().and_then(|(_, buffer)| buffer.as_ref()),
+            num_faces: self.data.num_faces,
+            pairs,
+            numbers: self.numbers.as_ref().unwrap_or(&self.nothing),
+        };
+        if let Some(ordering) = &self.ordering {
+            ordering.sort(device, resident, wanted)?;
+        }
+        Ok(())
+    }
+
+    /// Sorts on the CPU, and uploads the order.
+    fn sort_on_cpu(&mut self, device: &Device, resident: &Resident, camera: &Camera) -> Result<(), GpuError> {
+        let mut numbers = self.numbers.take();
+        let order = self.order_on_cpu(&resident.mesh, camera);
+        let num = order.len();
+        let copied = wgpu::BufferUsages::COPY_DST;
+        hold(device, &mut numbers, "the order of the faces", 4 * num as u64, copied)?;
+        upload_all(device, numbers.as_ref().unwrap_or(&self.nothing), cast_slice(self.cpu_order()));
+        self.numbers = numbers;
+        self.data.num_faces = num as u32;
+        Ok(())
+    }
+
+    /// The order of the faces, sorted anew where the camera has moved so that it is another.
+    fn order_on_cpu(&mut self, mesh: &CellMesh, camera: &Camera) -> &[u32] {
+        let depends_on = visibility::depends_on(camera);
+        self.cpu_order.take_if(|(of, _)| *of != depends_on);
+        let chosen = self.chosen.as_ref().map(|(faces, _)| faces);
+        let (_, order) = self.cpu_order.get_or_insert_with(|| {
+            let all: Vec<u32>;
+            let faces = match chosen {
+                Some(faces) => faces,
+                None => {
+                    all = (0..mesh.num_faces() as u32).collect();
+                    &all
+                }
+            };
+            (depends_on, visibility::order(mesh, camera, faces))
+        });
+        order
+    }
+
+    fn cpu_order(&self) -> &[u32] {
+        self.cpu_order.as_ref().map_or(&[], |(_, order)| order)
     }
 
     /// Makes room for an order of the faces that are drawn, and uploads which those are.
     fn hold_order(&mut self, device: &Device, num_all: usize) -> Result<(), GpuError> {
-        self.own_faces = None;
         let num = self.chosen.as_ref().map_or(num_all, |(faces, _)| faces.len()) as u64;
         self.data.num_faces = num as u32;
         if let Some((faces, buffer @ None)) = &mut self.chosen {
@@ -288,30 +323,17 @@ impl Sight {
         Ok(())
     }
 
-    fn look_on_cpu(
+    /// Sorts, projects and cuts on the CPU.
+    fn look_and_cut(
         &mut self,
         device: &Device,
         resident: &Resident,
         camera: &Camera,
         size: [usize; 2],
     ) -> Result<(), GpuError> {
-        let (mesh, depends_on, copied) =
-            (&resident.mesh, visibility::depends_on(camera), wgpu::BufferUsages::COPY_DST);
+        let (mesh, copied) = (&resident.mesh, wgpu::BufferUsages::COPY_DST);
         self.order = Order::None;
-        self.cpu_order.take_if(|(of, _)| *of != depends_on);
-        let chosen = self.chosen.as_ref().map(|(faces, _)| faces);
-        let (_, order) = self.cpu_order.get_or_insert_with(|| {
-            let all: Vec<u32>;
-            let faces = match chosen {
-                Some(faces) => faces,
-                None => {
-                    all = (0..mesh.num_faces() as u32).collect();
-                    &all
-                }
-            };
-            (depends_on, visibility::order(mesh, camera, faces))
-        });
-        let Seen { points, cuts, parts } = Seen::new(mesh, camera, size, order);
+        let Seen { points, cuts, parts } = Seen::new(mesh, camera, size, self.order_on_cpu(mesh, camera));
         let is_seen = |face: &&ViewFace| face[..3].iter().all(|p| !points[*p as usize][0].is_nan());
         let words: Vec<[u32; 3]> =
             parts.iter().flatten().filter(is_seen).map(|face| face_words(*face)).collect();
@@ -335,7 +357,7 @@ impl Sight {
         let place = |p: &[f32; 3]| if p[0].is_nan() { [0.0; 4] } else { [p[0], p[1], p[2], 0.0] };
         let corners: Vec<[f32; 4]> = points.iter().map(place).collect();
         upload(&self.corners, cast_slice(&corners));
-        self.order = Order::Cpu;
+        self.order = Order::Cut;
         Ok(())
     }
 
@@ -394,7 +416,7 @@ impl Sight {
         self.upload(device);
         device.upload(&self.totals.raw, 0, &[0; 16]);
         self.scanner.prepare(device, self.data.num_faces);
-        let resources = self.list_resources(resident, &self.nothing);
+        let resources = self.list_resources(resident, &self.unwritten);
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         let mut pass = encoder.begin_compute_pass(&Default::default());
         self.passes.count.run(device, &mut pass, &resources, groups_for(self.data.num_faces.into()));
@@ -488,8 +510,9 @@ fn sight_of(resident: &Resident, camera: &Camera, size: [usize; 2]) -> SightData
         scale: (0.5 * size[1] as f64 / camera.half_height()) as f32,
         middle: size.map(|n| 0.5 * n as f32),
         least_depth: least as f32,
-        keys_per_depth: if most > least { (MOST_KEY / (most - least)) as f32 } else { 0.0 },
+        keys_per_depth: if most > least { (MOST_DEPTH / (most - least)) as f32 } else { 0.0 },
         num_points: resident.mesh.num_points() as u32,
+        num_all_faces: resident.mesh.num_faces() as u32,
         is_perspective: u32::from(matches!(camera.projection(), Projection::Perspective { .. })),
         num_columns: size[0] as u32,
         num_rows: size[1] as u32,

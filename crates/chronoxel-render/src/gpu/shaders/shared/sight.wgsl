@@ -14,7 +14,7 @@ struct Sight {
     scale: f32,
     // The middle of the picture, pixels.
     middle: vec2<f32>,
-    // From the sum of three depths to the key of a face.
+    // From three times a depth to the key of a tetrahedron.
     least_depth: f32,
     keys_per_depth: f32,
     num_points: u32,
@@ -33,7 +33,8 @@ struct Sight {
     per_half_longest: f32,
     // The row of pixels that the picture begins with.
     first_row: u32,
-    padding: u32,
+    // Faces of the mesh.
+    num_all_faces: u32,
 }
 
 // Columns and rows of a tile.
