@@ -21,7 +21,7 @@ use serde_json::{Map, Value, json};
 use super::{BenchReport, Column, Plot, Row, Section, Size, Style, Workplace, machine, object};
 use crate::interrupt;
 use cases::Case;
-use speed::Speed;
+use speed::{GpuSpeed, Speed};
 
 /// Table 1: points, tetrahedra, steps, megabytes of values and of their code, ratio, smallest and largest SNR, largest error,
 /// frames per second of one step and of new ones, millions of tetrahedra per second.
@@ -129,7 +129,13 @@ impl Found {
         };
         let speed = speed::measure(&store, &mut renderer, &scenes, num_frames)?;
         drop(renderer);
-        let here = rates_row(&speed, mesh.num_tetrahedra());
+        let on_gpu = speed::measure_gpu(&path, &scenes, num_frames, (size, memory_bytes))?;
+        let here = rates_row(&speed, on_gpu.as_ref(), mesh.num_tetrahedra());
+        if let Some(note) = on_gpu.map(|found| format!("GPU: {}", found.name))
+            && !self.rates.notes.contains(&note)
+        {
+            self.rates.notes.push(note);
+        }
         self.rates.rows.push(Row { label: label.clone(), paper, here });
         self.order.rows.extend(detail::rows_of_k(&label, &store, &mesh, &scenes)?);
         if case.has_detail {
@@ -227,8 +233,11 @@ fn table_row(case: &mut Case, report: &CellReport, store: &CellStore) -> anyhow:
     })))
 }
 
-fn rates_row(speed: &Speed, num_tetrahedra: usize) -> Map<String, Value> {
+fn rates_row(speed: &Speed, on_gpu: Option<&GpuSpeed>, num_tetrahedra: usize) -> Map<String, Value> {
     object(json!({
+        "gpu_static_fps": on_gpu.map(|gpu| 1.0 / gpu.still_secs),
+        "gpu_moving_fps": on_gpu.map(|gpu| 1.0 / gpu.moving_secs),
+        "gpu_tetrahedra_per_sec": on_gpu.map(|gpu| num_tetrahedra as f64 / gpu.moving_secs),
         "static_fps": 1.0 / speed.still_secs,
         "moving_fps": 1.0 / speed.moving_secs,
         "loss": 100.0 * (1.0 - speed.still_secs / speed.moving_secs),
@@ -282,7 +291,7 @@ fn rates_section(size: Size) -> Section {
     let (paper, here) = (Column::paper, Column::here);
     let edge = if size == Size::Tiny { 96 } else { 512 };
     Section {
-        title: format!("Table 1, frames per second at {edge} x {edge}, k = 6, on the CPU"),
+        title: format!("Table 1, frames per second at {edge} x {edge}, k = 6"),
         columns: vec![
             paper("static_fps", "one step, paper", Fixed(1)),
             here("static_fps", "here", Fixed(1)),
@@ -294,10 +303,13 @@ fn rates_section(size: Size) -> Section {
             here("decode_ms", "decode, ms", Fixed(2)),
             paper("tetrahedra_per_sec", "tetrahedra/s, paper", Scientific),
             here("tetrahedra_per_sec", "here", Scientific),
+            here("gpu_static_fps", "GPU, one step", Fixed(1)),
+            here("gpu_moving_fps", "GPU, new steps", Fixed(1)),
+            here("gpu_tetrahedra_per_sec", "GPU, tetrahedra/s", Scientific),
         ],
         rows: Vec::new(),
         notes: vec![
-            "medians over frames of two views, still and moving frames by turns; a moving frame draws a step while the next is decoded".to_owned(),
+            "medians over frames of two views, still and moving frames by turns; a moving frame draws a step while the next is decoded; a GPU decodes by itself, and its pictures are read back".to_owned(),
         ],
     }
 }
