@@ -189,6 +189,33 @@ fn what_is_written_is_read() {
     assert_eq!(problems_of(&path), [] as [&str; 0]);
 }
 
+/// The committed store of this version, which is read forever. Made by [`write`] with `CHRONOXEL_MAKE_FIXTURE` set.
+#[test]
+fn the_fixture_is_read() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cells/v1.cxl");
+    if std::env::var_os("CHRONOXEL_MAKE_FIXTURE").is_some() {
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write(&path, 70);
+    }
+    assert_eq!(problems_of(&path), [] as [&str; 0]);
+    let store = CellStore::open(&path).unwrap();
+    assert_eq!(store.read_geometry().unwrap(), geometry());
+    let mut values = vec![0.0; NUM_POINTS];
+    for step in 0..70 {
+        let record = store.span_at(0, step).unwrap();
+        store.read_span(0, &record).unwrap().decode(step, &mut values).unwrap();
+        let expected: Vec<f32> = (0..NUM_POINTS).map(|p| value(p, step as usize % 64)).collect();
+        assert_eq!(values, expected);
+    }
+    // The worked example of the format's page.
+    let record = store.span_at(1, 69).unwrap();
+    assert_eq!((record.start, record.len, record.class, record.mask), (68, 2, 4, Some(64)));
+    store.read_span(1, &record).unwrap().decode(69, &mut values).unwrap();
+    assert_eq!(values[5], 15.5);
+    assert!(values[3].is_nan() && !values[4].is_nan());
+}
+
 #[test]
 fn a_store_within_a_store_of_bricks_is_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -279,8 +306,8 @@ fn a_flipped_byte_anywhere_is_found() {
     let mut num_flips = 0;
     for (name, bytes) in files_of(&path) {
         let file = path.join(&name);
-        let stride = (bytes.len() / 30).max(1);
-        let near_end = bytes.len().saturating_sub(20);
+        let stride = (bytes.len() / 6).max(1);
+        let near_end = bytes.len().saturating_sub(8);
         for at in (0..bytes.len()).filter(|at| at % stride == 0 || *at >= near_end) {
             let mut damaged = bytes.clone();
             damaged[at] ^= 1 << (at % 8);
@@ -298,7 +325,7 @@ fn a_flipped_byte_anywhere_is_found() {
         assert!(!problems_of(&path).is_empty(), "{} lost", name.display());
         fs::write(&file, &bytes).unwrap();
     }
-    assert!(num_flips > 1500, "{num_flips}");
+    assert!(num_flips > 400, "{num_flips}");
     assert_eq!(problems_of(&path), [] as [&str; 0]);
     fs::write(path.join("variable-0/C0/S0/c.2.0"), "x").unwrap();
     assert!(problems_of(&path)[0].contains("unexpected"));
@@ -384,5 +411,83 @@ fn bytes_of_any_kind_are_errors_and_never_a_panic() {
         fs::write(path.join(name), &damaged).unwrap();
         read_all(&path);
         fs::write(path.join(name), bytes).unwrap();
+    }
+}
+
+/// A zstd frame and its checksum.
+fn packed(bytes: &[u8]) -> Vec<u8> {
+    let mut stored = zstd::bulk::compress(bytes, 3).unwrap();
+    stored.extend(crc32c::crc32c(&stored).to_le_bytes());
+    stored
+}
+
+fn unpacked(stored: &[u8]) -> Vec<u8> {
+    zstd::bulk::decompress(&stored[..stored.len() - 4], 1 << 20).unwrap()
+}
+
+#[test]
+fn spans_that_lie_are_errors_and_never_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.cxl");
+    write(&path, 70);
+    let file = path.join("u8/spans/c.0.0");
+    let whole = fs::read(&file).unwrap();
+    let bytes = unpacked(&whole);
+    assert_eq!(bytes.len(), 64 * 13 * 8);
+    let lies = [-1.0, 0.5, 1.0, 3.0, 64.0, 1e9, 1e300, f64::NAN, f64::INFINITY];
+    for (field, step) in (0..13).flat_map(|field| [0, 1, 8].map(|step| (field, step))) {
+        for lie in lies {
+            let mut changed = bytes.clone();
+            changed[8 * (64 * field + step)..][..8].copy_from_slice(&lie.to_le_bytes());
+            if changed != bytes {
+                fs::write(&file, packed(&changed)).unwrap();
+                // A mean, a deviation or an error of other than the largest value is beyond what a store can tell of itself.
+                let is_known = field < 9 && !lie.is_nan();
+                let problems = problems_of(&path);
+                assert!(!is_known || !problems.is_empty(), "field {field} of step {step} is {lie}");
+            }
+        }
+    }
+    fs::write(&file, &whole).unwrap();
+    assert_eq!(problems_of(&path), [] as [&str; 0]);
+}
+
+#[test]
+fn stages_that_lie_are_errors_and_never_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.cxl");
+    write(&path, 70);
+    // One slot, its index, and the checksum of that.
+    for name in ["variable-0/C0/S0/c.0.0", "variable-0/C0/S1/c.0.0"] {
+        let file = path.join(name);
+        let whole = fs::read(&file).unwrap();
+        let bytes = unpacked(&whole[..whole.len() - 20]);
+        for at in 0..bytes.len() {
+            for value in [0, 1, 0x7f, 0xff] {
+                let mut changed = bytes.clone();
+                changed[at] = value;
+                if changed == bytes {
+                    continue;
+                }
+                let mut stored = packed(&changed);
+                let index = [0, stored.len() as u64].map(u64::to_le_bytes);
+                stored.extend(index.as_flattened());
+                stored.extend(crc32c::crc32c(index.as_flattened()).to_le_bytes());
+                fs::write(&file, stored).unwrap();
+                if let Ok(store) = CellStore::open(&path) {
+                    let read = store.read_span(0, &store.span_at(0, 3).unwrap());
+                    let _ = read.map(|payload| payload.decode(3, &mut [0.0; NUM_POINTS]));
+                }
+            }
+        }
+        let mut absurd = bytes.clone();
+        absurd[..8].copy_from_slice(&f64::NAN.to_le_bytes());
+        let mut stored = packed(&absurd);
+        let index = [0, stored.len() as u64].map(u64::to_le_bytes);
+        stored.extend(index.as_flattened());
+        stored.extend(crc32c::crc32c(index.as_flattened()).to_le_bytes());
+        fs::write(&file, stored).unwrap();
+        assert!(problems_of(&path).iter().any(|problem| problem.contains("offset")), "{name}");
+        fs::write(&file, &whole).unwrap();
     }
 }

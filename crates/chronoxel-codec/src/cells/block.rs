@@ -123,13 +123,15 @@ impl<W: Workers> BlockCoder<'_, W> {
             return Ok(None);
         }
         let means = Means::new(dense.steps, self.workers);
-        let mut attempt = self.attempt(dense, &means, entries)?;
-        let Some(bound) = self.options.max_error else { return Ok(Some(attempt.span)) };
+        let Some(bound) = self.options.max_error else {
+            return Ok(Some(self.attempt(dense, means, entries)?.span));
+        };
+        let mut attempt = self.attempt(dense, means.clone(), entries)?;
         if attempt.max_error <= bound {
             return Ok(Some(attempt.span));
         }
         if entries < most && fits(most, 1) && attempt.max_error <= bound * MORE_ENTRIES_GAIN {
-            attempt = self.attempt(dense, &means, most)?;
+            attempt = self.attempt(dense, means, most)?;
             if attempt.max_error <= bound {
                 return Ok(Some(attempt.span));
             }
@@ -149,9 +151,9 @@ impl<W: Workers> BlockCoder<'_, W> {
     }
 
     /// Codes steps by their means, their means of eight, and a table over all of them.
-    fn attempt(&self, dense: &Dense<'_>, means: &Means, entries: usize) -> Result<Attempt, CodecError> {
-        let mut rest = means.rest.clone();
-        let mut stages = vec![means.stage.clone()];
+    fn attempt(&self, dense: &Dense<'_>, means: Means, entries: usize) -> Result<Attempt, CodecError> {
+        let Means { stage, mut rest } = means;
+        let mut stages = vec![stage];
         if dense.steps.len() > 1 << MEAN_SHIFT {
             let differences = rest.means_of(1 << MEAN_SHIFT, self.workers);
             let stage = differences.code(entries, MEAN_SHIFT, self.workers);
@@ -225,6 +227,7 @@ fn table_bytes(num_points: usize, num_steps: usize, entries: usize, num_tables: 
 }
 
 /// The first stage, and what it leaves.
+#[derive(Clone)]
 struct Means {
     stage: Stage,
     rest: Parts,

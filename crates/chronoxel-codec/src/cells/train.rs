@@ -13,6 +13,9 @@ const LEAST_TRAINED: usize = 4096;
 /// Most rounds of Lloyd's iteration on those, and rounds on all.
 const TRAINING_ROUNDS: usize = 12;
 const FULL_ROUNDS: usize = 3;
+/// Rounds at the end, each of which moves one of so many entries to where errors are largest.
+const TAIL_ROUNDS: usize = 3;
+const MOVED_OF: usize = 32;
 /// Training stops when a round gains less than this fraction of the cost.
 const LEAST_GAIN: f64 = 2e-3;
 
@@ -142,7 +145,83 @@ impl Parts {
         for _ in 0..FULL_ROUNDS {
             self.refine(&mut entries, workers);
         }
+        self.reach_far(&mut entries, workers);
         entries
+    }
+
+    /// Lowers the largest error: entries that stand close to others move to the vectors that are farthest from theirs.
+    fn reach_far(&self, entries: &mut Entries, workers: &impl Workers) {
+        let mut found = self.nearest(entries, workers);
+        for _ in 0..TAIL_ROUNDS {
+            let mut moved = Entries { values: entries.values.clone(), prices: entries.prices.clone() };
+            if !self.move_entries(&found, &mut moved) {
+                return;
+            }
+            self.refine(&mut moved, workers);
+            let again = self.nearest(&moved, workers);
+            if largest_cost(&again) >= largest_cost(&found) {
+                return;
+            }
+            (*entries, found) = (moved, again);
+        }
+    }
+
+    /// Merges pairs of entries where that costs least, and puts the ones that are freed on the farthest vectors, one
+    /// of a cell; says whether there were any.
+    fn move_entries(&self, found: &[Nearest], entries: &mut Entries) -> bool {
+        let num_entries = entries.prices.len();
+        let mut counts = vec![0u32; num_entries];
+        let mut farthest = vec![(0.0f32, 0usize); num_entries];
+        let indices = found.iter().flat_map(|part| part.indices.iter().zip(&part.costs));
+        for (point, (&index, &cost)) in indices.enumerate() {
+            let index = usize::from(index);
+            counts[index] += 1;
+            if cost > farthest[index].0 {
+                farthest[index] = (cost, point);
+            }
+        }
+        let mut wide: Vec<usize> =
+            (0..num_entries).filter(|&e| counts[e] > 1 && farthest[e].0 > 0.0).collect();
+        wide.sort_by(|&a, &b| farthest[b].0.total_cmp(&farthest[a].0).then(a.cmp(&b)));
+        wide.truncate(num_entries.div_ceil(MOVED_OF));
+        let mut is_taken = vec![false; num_entries];
+        wide.iter().for_each(|&e| is_taken[e] = true);
+        let mut freed = wide.into_iter();
+        let mut has_moved = false;
+        for (a, b) in self.close_pairs(entries, &counts, &is_taken) {
+            if is_taken[a] || is_taken[b] {
+                continue;
+            }
+            let Some(from) = freed.next() else { break };
+            (is_taken[a], is_taken[b], has_moved) = (true, true, true);
+            let [weight_a, weight_b] =
+                [a, b].map(|e| counts[e] as f32 / (counts[a] + counts[b]).max(1) as f32);
+            for t in 0..self.num_components {
+                let [at_a, at_b] = [a, b].map(|e| e * self.num_components + t);
+                entries.values[at_a] = weight_a * entries.values[at_a] + weight_b * entries.values[at_b];
+                entries.values[at_b] = self.component(farthest[from].1, t);
+            }
+        }
+        has_moved
+    }
+
+    /// For each entry the one after it that it could be merged with at the least squared error (Ward 1963), the cheapest
+    /// pair first.
+    fn close_pairs(&self, entries: &Entries, counts: &[u32], is_taken: &[bool]) -> Vec<(usize, usize)> {
+        let entry = |e: usize| &entries.values[e * self.num_components..(e + 1) * self.num_components];
+        let cost = |a: usize, b: usize| {
+            let squared: f32 = entry(a).iter().zip(entry(b)).map(|(x, y)| (x - y) * (x - y)).sum();
+            let [a, b] = [a, b].map(|e| f64::from(counts[e]));
+            f64::from(squared) * a * b / (a + b).max(1.0)
+        };
+        let free: Vec<usize> = (0..counts.len()).filter(|&e| !is_taken[e]).collect();
+        let cheapest = |(place, &a): (usize, &usize)| {
+            let costs = free[place + 1..].iter().map(|&b| (cost(a, b), b));
+            costs.min_by(|x, y| x.0.total_cmp(&y.0)).map(|(cost, b)| (cost, a, b))
+        };
+        let mut pairs: Vec<(f64, usize, usize)> = free.iter().enumerate().filter_map(cheapest).collect();
+        pairs.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        pairs.into_iter().map(|(_, a, b)| (a, b)).collect()
     }
 
     /// Every `stride`-th vector.
@@ -229,6 +308,10 @@ impl Parts {
             values.iter_mut().enumerate().for_each(|(t, value)| *value = self.component(point, t));
         }
     }
+}
+
+fn largest_cost(found: &[Nearest]) -> f32 {
+    found.iter().flat_map(|part| &part.costs).fold(0.0, |largest, &cost| largest.max(cost))
 }
 
 /// Rounds values to what a table of 16-bit numbers holds, and returns its offset and scale.

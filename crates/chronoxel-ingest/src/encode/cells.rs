@@ -1,7 +1,7 @@
 //! The encoder of cells: a mesh's tetrahedra as they are, and the values at its points in blocks of 64 steps.
 //!
 //! A block of a variable is read whole, coded by [`chronoxel_codec::encode_cells`] with the threads of the pool, measured against what was
-//! read, and put. Memory is that of one block, three times where an error bound may need several attempts.
+//! read, and put. Memory is that of one block, three times, or four where an error bound may need several attempts.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -176,10 +176,11 @@ fn check_entries(entries: usize) -> Result<(), EncodeError> {
     }
 }
 
-/// Checks that a block of a variable fits: what was read, what stages leave of it, and that once more where one attempt may not do.
+/// Checks that a block of a variable fits: what was read, that without missing values, what stages leave of it, and that once more where
+/// one attempt may not do.
 fn check_memory(mesh: &dyn MeshSeries, options: &EncodeOptions) -> Result<(), EncodeError> {
     let num_steps = mesh.times().num_steps().min(BLOCK_STEPS) as u64;
-    let copies = if options.max_error.is_some() { 3 } else { 2 };
+    let copies = if options.max_error.is_some() { 4 } else { 3 };
     let num_points = mesh.num_points() as u64;
     let needed = FIXED_BYTES + mesh.working_bytes() + num_points * (4 * num_steps * copies + 16);
     match needed <= options.memory_bytes {

@@ -55,6 +55,8 @@ pub struct CellList {
     /// Number of each cell in its source, where some there are left out; else empty.
     numbers: Vec<u64>,
     num_without_volume: u64,
+    /// Cells of higher order, of which the corners are kept.
+    num_curved: u64,
 }
 
 impl CellList {
@@ -80,6 +82,37 @@ impl CellList {
         }
         self.kinds.push(kind);
         self.corners.extend_from_slice(corners);
+    }
+
+    /// Adds a cell of higher order by its corners.
+    ///
+    /// # Panics
+    /// If the number of corners is not that of the kind.
+    pub fn push_curved(&mut self, kind: CellKind, corners: &[u32]) {
+        self.push(kind, corners);
+        self.num_curved += 1;
+    }
+
+    /// Adds all cells of another list.
+    ///
+    /// * `points`: for each point of the other list, its number here
+    ///
+    /// # Errors
+    /// If a corner is none of the points.
+    pub fn append(&mut self, path: &Path, other: &Self, points: &[u32]) -> Result<(), SourceError> {
+        other.check_corners(path, points.len())?;
+        let before = self.len() as u64 + self.num_without_volume;
+        if self.num_without_volume + other.num_without_volume > 0 {
+            if self.num_without_volume == 0 {
+                self.numbers = (0..self.len() as u64).collect();
+            }
+            self.numbers.extend((0..other.len()).map(|cell| before + other.number(cell)));
+        }
+        self.kinds.extend_from_slice(&other.kinds);
+        self.corners.extend(other.corners.iter().map(|corner| points[*corner as usize]));
+        self.num_without_volume += other.num_without_volume;
+        self.num_curved += other.num_curved;
+        Ok(())
     }
 
     /// Counts a cell without volume: a vertex, a line, a surface.
@@ -164,6 +197,7 @@ impl CheckedCells {
         sieve.census.num_duplicate = self.excluded.num_duplicate;
         sieve.census.num_non_manifold = self.excluded.num_non_manifold;
         sieve.census.cells.without_volume = self.list.num_without_volume;
+        sieve.census.num_curved = self.list.num_curved;
         for (cell, (kind, corners)) in self.list.iter().enumerate() {
             let cells = &mut sieve.census.cells;
             *match kind {

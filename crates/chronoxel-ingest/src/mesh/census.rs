@@ -31,6 +31,8 @@ pub struct MeshCensus {
     pub num_points: u64,
     /// Cells of the source by kind.
     pub cells: CellCounts,
+    /// Cells of higher order, of which the corners alone are used.
+    pub num_curved: u64,
     /// Cells left out because they, or one of their corners, are blanked.
     pub num_blanked: u64,
     /// Cells left out because an earlier one has the same corners.

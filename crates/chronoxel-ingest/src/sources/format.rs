@@ -22,6 +22,7 @@ pub(crate) enum Format {
     Vts,
     Vtr,
     Vtu,
+    Parallel,
     Vtk,
     Plot3d,
 }
@@ -39,6 +40,7 @@ impl Format {
             Self::Vts => "VTK StructuredGrid .vts",
             Self::Vtr => "VTK RectilinearGrid .vtr",
             Self::Vtu => "VTK UnstructuredGrid .vtu",
+            Self::Parallel => "parallel VTK .pvtu, .pvts or .pvtr",
             Self::Vtk => "legacy VTK .vtk",
             Self::Plot3d => "PLOT3D",
         }
@@ -77,6 +79,7 @@ impl Format {
             "vts" => Some(Self::Vts),
             "vtr" => Some(Self::Vtr),
             "vtu" => Some(Self::Vtu),
+            "pvtu" | "pvts" | "pvtr" => Some(Self::Parallel),
             "vtk" => Some(Self::Vtk),
             "x" | "xyz" | "g" | "grd" | "q" | "p3d" => Some(Self::Plot3d),
             _ => None,
@@ -145,9 +148,7 @@ impl Content {
             Some("StructuredGrid") => Self::Is(Format::Vts),
             Some("RectilinearGrid") => Self::Is(Format::Vtr),
             Some("UnstructuredGrid") => Self::Is(Format::Vtu),
-            Some("PStructuredGrid" | "PRectilinearGrid" | "PUnstructuredGrid") => {
-                Self::Other("a parallel VTK file")
-            }
+            Some("PStructuredGrid" | "PRectilinearGrid" | "PUnstructuredGrid") => Self::Is(Format::Parallel),
             _ => Self::Other("a VTK file of another type"),
         }
     }
@@ -198,7 +199,7 @@ fn unknown_extension(path: &Path, extension: &str, content: Content) -> SourceEr
     let shown = if extension.is_empty() { "missing" } else { extension };
     let remedy = match content {
         Content::Unknown => {
-            ".vti, .vts, .vtr, .vtu, .vtk, .pvd, .nrrd, .nhdr, .npy, Zarr folders, PLOT3D (.xyz with .q) and raw files \
+            ".vti, .vts, .vtr, .vtu, .pvts, .pvtr, .pvtu, .vtk, .pvd, .nrrd, .nhdr, .npy, Zarr folders, PLOT3D (.xyz with .q) and raw files \
              with --dims and --dtype are"
                 .to_owned()
         }

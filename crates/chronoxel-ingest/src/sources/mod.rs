@@ -25,6 +25,7 @@ mod vtk_cells;
 mod vtk_data;
 mod vtk_legacy;
 mod vtk_legacy_scan;
+mod vtk_pieces;
 mod vtr;
 mod vts;
 mod vtu;
@@ -239,6 +240,7 @@ fn open_file(path: &Path, format: Format, options: &SourceOptions) -> Result<Ope
         Format::Vts => return vts::open(path).map(OpenedFile::Mesh),
         Format::Vtr => return vtr::open(path).map(OpenedFile::Mesh),
         Format::Vtu => return vtu::open(path).map(OpenedFile::Mesh),
+        Format::Parallel => return vtk_pieces::open_parallel(path).map(OpenedFile::Mesh),
         Format::Vtk => return vtk_legacy::open(path),
         Format::Plot3d => {
             let remedy = "it takes its grid from another; name the grid and its solutions together, as in grid.xyz \

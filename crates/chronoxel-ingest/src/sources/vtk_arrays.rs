@@ -66,18 +66,26 @@ pub(crate) fn data_set<'a>(
     })
 }
 
+/// The pieces of a data set of one time step.
+pub(crate) fn pieces<'a>(
+    document: &'a Document,
+    (index, data_set): (usize, &Element),
+) -> Result<Vec<(usize, &'a Element)>, SourceError> {
+    if let Some(values) = data_set.get("TimeValues") {
+        let remedy = "one time step per file is; write a .pvd collection";
+        return Err(SourceError::unsupported(&document.path, "TimeValues", values, remedy));
+    }
+    Ok(document.children(index, "Piece").collect())
+}
+
 /// The one piece of a data set.
 pub(crate) fn only_piece<'a>(
     document: &'a Document,
-    (index, data_set): (usize, &Element),
+    data_set: (usize, &Element),
 ) -> Result<(usize, &'a Element), SourceError> {
     let path = &document.path;
-    if let Some(values) = data_set.get("TimeValues") {
-        let remedy = "one time step per file is; write a .pvd collection";
-        return Err(SourceError::unsupported(path, "TimeValues", values, remedy));
-    }
-    let pieces: Vec<(usize, &Element)> = document.children(index, "Piece").collect();
-    let [piece] = pieces[..] else {
+    let [piece] = pieces(document, data_set)?[..] else {
+        let pieces: Vec<_> = document.children(data_set.0, "Piece").collect();
         let remedy = "files with one piece are; append the pieces and write the file again";
         return Err(SourceError::unsupported(path, "number of pieces", pieces.len(), remedy));
     };
@@ -239,12 +247,13 @@ impl ArrayReader<'_> {
             );
         }
         let in_cells = self.document.children(piece_index, "CellData").map(|(cells, _)| cells);
-        let has_cell_data =
-            in_cells.into_iter().any(|cells| self.document.children(cells, "DataArray").next().is_some());
-        if has_cell_data {
+        let mut arrays = in_cells
+            .flat_map(|cells| self.document.children(cells, "DataArray"))
+            .map(|(_, array)| array.get("Name").unwrap_or_default());
+        if let Some(name) = arrays.find(|name| *name != GHOSTS) {
             let remedy =
                 "point data are; convert it with vtkCellDataToPointData (ParaView: Cell Data to Point Data)";
-            return SourceError::unsupported(path, "data", "cell data only", remedy);
+            return SourceError::unsupported(path, format!("array {name:?}"), "of cells alone", remedy);
         }
         SourceError::corrupt(path, "PointData", "empty", "it must have at least one array")
     }

@@ -150,11 +150,25 @@ fn push_cell(
     number: u64,
     corners: &[u32],
 ) -> Result<(), SourceError> {
-    let kind = match number {
-        10 => CellKind::Tetrahedron,
-        11 | 12 => CellKind::Hexahedron,
-        13 => CellKind::Wedge,
-        14 => CellKind::Pyramid,
+    // Of cells of higher order the corners come first: quadratic ones have these numbers of points, those of Lagrange any.
+    let (kind, num_points) = match number {
+        10 => (CellKind::Tetrahedron, Some(4)),
+        11 | 12 => (CellKind::Hexahedron, Some(8)),
+        13 => (CellKind::Wedge, Some(6)),
+        14 => (CellKind::Pyramid, Some(5)),
+        24 => (CellKind::Tetrahedron, Some(10)),
+        25 => (CellKind::Hexahedron, Some(20)),
+        26 => (CellKind::Wedge, Some(15)),
+        27 => (CellKind::Pyramid, Some(13)),
+        29 => (CellKind::Hexahedron, Some(27)),
+        31 => (CellKind::Wedge, Some(12)),
+        32 => (CellKind::Wedge, Some(18)),
+        33 => (CellKind::Hexahedron, Some(24)),
+        37 => (CellKind::Pyramid, Some(19)),
+        71 => (CellKind::Tetrahedron, None),
+        72 => (CellKind::Hexahedron, None),
+        73 => (CellKind::Wedge, None),
+        74 => (CellKind::Pyramid, None),
         // Nothing, vertices, lines, surfaces, and their forms of higher order.
         0..=9 | 21..=23 | 28 | 30 | 34..=36 | 51 | 52 | 56 | 60..=62 | 68..=70 | 75..=77 => {
             cells.push_without_volume();
@@ -162,15 +176,23 @@ fn push_cell(
         }
         _ => {
             let field = format!("type of cell {cell}");
-            let remedy = "tetrahedra (10), voxels (11), hexahedra (12), wedges (13) and pyramids (14) are, and cells \
-                          without volume are left out; convert it, as with vtkDataSetTriangleFilter";
+            let remedy = "tetrahedra (10), voxels (11), hexahedra (12), wedges (13), pyramids (14) and their forms of \
+                          higher order are, and cells without volume are left out; convert it, as with \
+                          vtkDataSetTriangleFilter";
             return Err(SourceError::unsupported(path, field, number, remedy));
         }
     };
-    if corners.len() != kind.num_corners() {
+    if num_points.is_some_and(|n| corners.len() != n) || corners.len() < kind.num_corners() {
         let field = format!("number of corners of cell {cell}");
-        let problem = format!("a cell of type {number} has {}", kind.num_corners());
+        let problem = match num_points {
+            Some(n) => format!("a cell of type {number} has {n}"),
+            None => format!("a cell of type {number} has at least {}", kind.num_corners()),
+        };
         return Err(SourceError::corrupt(path, field, corners.len(), problem));
+    }
+    if number > 14 {
+        cells.push_curved(kind, &corners[..kind.num_corners()]);
+        return Ok(());
     }
     match number {
         // The corners of a voxel lie as in a lattice, not around its faces.

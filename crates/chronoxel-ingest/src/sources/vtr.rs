@@ -10,7 +10,8 @@ use chronoxel_core::Samples;
 
 use super::mesh_files::{MeshFile, MeshShape, Topology, lattice};
 use super::volume_file::FileHeader;
-use super::vtk_arrays::{Array, ArrayReader, data_set, dims_of, encoding, extent, only_piece};
+use super::vtk_arrays::{Array, ArrayReader, data_set, dims_of, encoding};
+use super::vtk_pieces::{Piece, join, lattice_pieces};
 use super::vts::{ghosts, lattice_shape};
 use super::xml::Document;
 use crate::SourceError;
@@ -32,21 +33,45 @@ struct VtrFile {
 
 /// Opens a `.vtr` file.
 pub(crate) fn open(path: &Path) -> Result<Box<dyn MeshFile>, SourceError> {
-    const TYPE: &str = "RectilinearGrid";
+    let (pieces, whole) = open_pieces(path)?;
+    join(path, pieces, Some(whole), None)
+}
+
+/// Opens the pieces of a `.vtr` file that have points; also gives the extent that they are of.
+pub(crate) fn open_pieces(path: &Path) -> Result<(Vec<Piece>, [i64; 6]), SourceError> {
     let document = Document::read(path)?;
-    let encoding = encoding(&document, TYPE)?;
-    let whole = data_set(&document, TYPE)?;
-    let (piece_index, piece) = only_piece(&document, whole)?;
-    let dims = dims_of(extent(path, whole.1, piece)?);
+    encoding(&document, TYPE)?;
+    let data_set = data_set(&document, TYPE)?;
+    let (whole, pieces) = lattice_pieces(&document, data_set)?;
+    let mut opened = Vec::new();
+    for (index, extent) in pieces {
+        let file = open_piece(&document, data_set.0, index, extent)?;
+        opened.push(Piece { file: Box::new(file), extent: Some(extent) });
+    }
+    Ok((opened, whole))
+}
+
+/// What the root and its child are called.
+const TYPE: &str = "RectilinearGrid";
+
+fn open_piece(
+    document: &Document,
+    whole_index: usize,
+    piece_index: usize,
+    extent: [i64; 6],
+) -> Result<VtrFile, SourceError> {
+    let path = &document.path;
+    let encoding = encoding(document, TYPE)?;
+    let dims = dims_of(extent);
     let grid = lattice_shape(path, GridType::Rectilinear, dims)?;
-    let reader = ArrayReader { document: &document, encoding };
+    let reader = ArrayReader { document, encoding };
     let (variables, arrays) = reader.point_data(piece_index, grid.num_points as u64)?;
     let axes = axes(&reader, piece_index, dims)?;
     let ghosts = ghosts(&reader, piece_index, &grid)?;
-    let times = reader.times(whole.0)?;
+    let times = reader.times(whole_index)?;
     let header =
         FileHeader { path: path.to_owned(), grid, variables, num_steps: 1, times, time_units: String::new() };
-    Ok(Box::new(VtrFile { header, axes, dims, ghosts, arrays }))
+    Ok(VtrFile { header, axes, dims, ghosts, arrays })
 }
 
 /// The three arrays of coordinates.

@@ -28,27 +28,36 @@ struct Field {
     high: f64,
 }
 
+/// What the field of a tetrahedron takes while a brick is computed.
+pub const FIELD_BYTES: u64 = size_of::<Field>() as u64;
+
 impl Field {
-    /// Of a tetrahedron whose corners have values; `None` where one has none.
-    fn new<T: Real>(tetrahedron: &Tetrahedron, places: &[[f64; 3]], values: &[T]) -> Option<Self> {
-        let v = tetrahedron.vertices.map(|i| values[i as usize]);
-        if v.iter().any(|v| v.is_masked()) {
-            return None;
+    /// Where a corner has no value.
+    const MASKED: Self =
+        Self { corner: [0.0; 3], value: f64::NAN, gradient: [0.0; 3], low: f64::NAN, high: f64::NAN };
+
+    #[inline(always)]
+    fn new<T: Real>(tetrahedron: &Tetrahedron, places: &[[f64; 3]], values: &[T]) -> Self {
+        let [v0, v1, v2, v3] = tetrahedron.vertices.map(|i| values[i as usize]);
+        if v0.is_masked() | v1.is_masked() | v2.is_masked() | v3.is_masked() {
+            return Self::MASKED;
         }
-        let v = v.map(T::to_f64);
-        let low = v[0].min(v[1]).min(v[2].min(v[3]));
-        let high = v[0].max(v[1]).max(v[2].max(v[3]));
-        let p = tetrahedron.corners(places);
+        let (v0, v1, v2, v3) = (v0.to_f64(), v1.to_f64(), v2.to_f64(), v3.to_f64());
+        let (least, most) = (|a, b| if b < a { b } else { a }, |a, b| if b > a { b } else { a });
+        let low: f64 = least(least(v0, v1), least(v2, v3));
+        let high: f64 = most(most(v0, v1), most(v2, v3));
+        let [p0, p1, p2, p3] = tetrahedron.corners(places);
         if low == high {
-            return Some(Self { corner: p[0], value: v[0], gradient: [0.0; 3], low, high });
+            return Self { corner: p0, value: v0, gradient: [0.0; 3], low, high };
         }
-        let [a, b, c] = [1, 2, 3].map(|k| minus(p[k], p[0]));
+        let (a, b, c) = (minus(p1, p0), minus(p2, p0), minus(p3, p0));
         let (bc, ca, ab) = (cross(b, c), cross(c, a), cross(a, b));
-        let per_volume = 1.0 / dot(a, bc);
+        let twice_per_volume = 2.0 / dot(a, bc);
         // Halved before the difference, which cannot overflow then.
-        let [da, db, dc] = [1, 2, 3].map(|k| (0.5 * v[k] - 0.5 * v[0]) * per_volume);
-        let gradient = std::array::from_fn(|i| 2.0 * (da * bc[i] + db * ca[i] + dc * ab[i]));
-        Some(Self { corner: p[0], value: v[0], gradient, low, high })
+        let difference = |v: f64| (0.5 * v - 0.5 * v0) * twice_per_volume;
+        let (da, db, dc) = (difference(v1), difference(v2), difference(v3));
+        let along = |i: usize| da * bc[i] + db * ca[i] + dc * ab[i];
+        Self { corner: p0, value: v0, gradient: [along(0), along(1), along(2)], low, high }
     }
 
     /// What a row contributes.
@@ -74,7 +83,26 @@ pub fn value_at<T: Real>(
     [x, y, z]: [f64; 3],
 ) -> f64 {
     let field = Field::new(tetrahedron, places, values);
-    field.map_or(f64::NAN, |field| field.at(field.of_row(y, z), x))
+    field.at(field.of_row(y, z), x)
+}
+
+/// The fields of the tetrahedra of a brick, computed when they are first asked for: that is in their order.
+struct Fields<'a, T> {
+    tetrahedra: &'a [Tetrahedron],
+    places: &'a [[f64; 3]],
+    values: &'a [T],
+    known: Vec<Field>,
+}
+
+impl<T: Real> Fields<'_, T> {
+    #[inline(always)]
+    fn get(&mut self, number: usize) -> &Field {
+        while number >= self.known.len() {
+            let next = Field::new(&self.tetrahedra[self.known.len()], self.places, self.values);
+            self.known.push(next);
+        }
+        &self.known[number]
+    }
 }
 
 /// Computes the samples of a brick: those of no tetrahedron are masked, those that come from elsewhere are left as they are.
@@ -94,29 +122,29 @@ pub fn apply<T: Real>(
     let first = at.brick.map(|b| f64::from(b) * layout.edge as f64 - layout.low as f64);
     // Exact: a whole number times a power of two.
     let place = |axis: usize, index: usize| (first[axis] + index as f64) * spacing;
-    let fields: Vec<Option<Field>> =
-        map.tetrahedra.iter().map(|tetrahedron| Field::new(tetrahedron, places, values)).collect();
-    let (mut at, mut row) = (0, [0.0; 2]);
-    for run in &map.runs {
-        let (owner, len) = (run >> 8, (run & 255) as usize);
-        let x = at % full;
-        if x == 0 {
-            row = [place(1, at / full % full), place(2, at / (full * full))];
-        }
-        let out = &mut samples[at..at + len];
-        match owner {
-            OTHERWISE => {}
-            NO_TETRAHEDRON => out.fill(T::MASKED),
-            _ => match &fields[owner as usize] {
-                None => out.fill(T::MASKED),
-                Some(field) => {
-                    let of_row = field.of_row(row[0], row[1]);
-                    for (i, out) in out.iter_mut().enumerate() {
-                        *out = T::from_f64(field.at(of_row, place(0, x + i)));
+    let known = Vec::with_capacity(map.tetrahedra.len());
+    let mut fields = Fields { tetrahedra: &map.tetrahedra, places, values, known };
+    let [along_x, along_y, along_z] = [0, 1, 2].map(|a| (0..full).map(|i| place(a, i)).collect::<Vec<f64>>());
+    let mut runs = map.runs.iter();
+    for (number, row) in samples.chunks_exact_mut(full).enumerate() {
+        let (y, z) = (along_y[number % full], along_z[number / full]);
+        let mut at = 0;
+        while at < full {
+            let Some(run) = runs.next() else { return };
+            let (owner, len) = (run >> 8, (run & 255) as usize);
+            let (out, along_x) = (&mut row[at..at + len], &along_x[at..at + len]);
+            match owner {
+                OTHERWISE => {}
+                NO_TETRAHEDRON => out.fill(T::MASKED),
+                _ => {
+                    let field = fields.get(owner as usize);
+                    let of_row = field.of_row(y, z);
+                    for (out, x) in out.iter_mut().zip(along_x) {
+                        *out = T::from_f64(field.at(of_row, *x));
                     }
                 }
-            },
+            }
+            at += len;
         }
-        at += len;
     }
 }

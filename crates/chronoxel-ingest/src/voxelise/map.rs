@@ -8,6 +8,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use super::apply::FIELD_BYTES;
 use super::records::Tetrahedron;
 use crate::EncodeError;
 
@@ -19,7 +20,7 @@ pub const OTHERWISE: u32 = 0xff_fffe;
 /// The map of one brick.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BrickMap {
-    /// Those that a sample lies in, in the order of the mesh.
+    /// Those that a sample lies in, in the order in which the runs come to them.
     pub tetrahedra: Vec<Tetrahedron>,
     /// Along rows of the full brick: the number of a tetrahedron times 256, plus how many samples.
     pub runs: Vec<u32>,
@@ -126,7 +127,7 @@ impl MapStore {
     pub fn push(&mut self, map: BrickMap) -> Result<usize, EncodeError> {
         let bytes = map.num_bytes();
         self.num_bytes += bytes;
-        self.largest_bytes = self.largest_bytes.max(bytes + 80 * map.tetrahedra.len() as u64);
+        self.largest_bytes = self.largest_bytes.max(bytes + FIELD_BYTES * map.tetrahedra.len() as u64);
         let place = match bytes <= self.memory_left {
             true => {
                 self.memory_left -= bytes;

@@ -28,8 +28,9 @@ pub struct Raster {
     which: Wanted,
     /// Of the first sample, apron included, in samples of the depth.
     first: [i64; 3],
-    /// Samples of the depth for each of the root.
+    /// Samples of the depth for each of the root, and its inverse; both are powers of two.
     per_root: f64,
+    spacing: f64,
     /// The tetrahedron of each sample, counted from 1; 0 where there is none yet.
     of_sample: Vec<u32>,
     tetrahedra: Vec<Tetrahedron>,
@@ -42,6 +43,23 @@ struct Plane {
     d: f64,
 }
 
+/// Samples of a row below which each is tested by itself.
+const SHORT: usize = 4;
+
+/// The next whole number; without a call where the processor may lack an instruction for it.
+#[inline(always)]
+fn ceil(v: f64) -> i64 {
+    let cut = v as i64;
+    cut.saturating_add(i64::from((cut as f64) < v))
+}
+
+/// The whole number before.
+#[inline(always)]
+fn floor(v: f64) -> i64 {
+    let cut = v as i64;
+    cut.saturating_sub(i64::from((cut as f64) > v))
+}
+
 impl Raster {
     /// Of brick `[x, y, z]` of a depth, without a tetrahedron yet.
     pub fn new(depth: u8, brick: [u32; 3], layout: &BrickLayout, which: Wanted) -> Self {
@@ -52,6 +70,7 @@ impl Raster {
             which,
             first: brick.map(|b| i64::from(b) * layout.edge as i64 - layout.low as i64),
             per_root: f64::from(1u32 << depth),
+            spacing: 1.0 / f64::from(1u32 << depth),
             of_sample: vec![0; layout.num_full()],
             tetrahedra: Vec::new(),
         }
@@ -69,7 +88,7 @@ impl Raster {
             for a in 0..3 {
                 let last = self.full as i64 - 1;
                 let (f, t) = ((low[a] - TOLERANCE) * self.per_root, (high[a] + TOLERANCE) * self.per_root);
-                let (f, t) = (f.ceil() as i64 - self.first[a], t.floor() as i64 - self.first[a]);
+                let (f, t) = (ceil(f) - self.first[a], floor(t) - self.first[a]);
                 if f > t || f > last || t < 0 {
                     (from[a], to[a]) = (1, 0);
                 } else {
@@ -77,6 +96,7 @@ impl Raster {
                 }
             }
             if (0..3).all(|a| from[a] <= to[a])
+                && self.has_free(from, to)
                 && let Some(planes) = planes_of(&corners)
                 && self.fill(&planes, from, to, self.tetrahedra.len() as u32 + 1)
             {
@@ -91,11 +111,25 @@ impl Raster {
     }
 
     fn place(&self, axis: usize, index: usize) -> f64 {
-        (self.first[axis] + index as i64) as f64 / self.per_root
+        (self.first[axis] + index as i64) as f64 * self.spacing
+    }
+
+    /// Whether a sample of a box has no tetrahedron yet. Where cells are hardly larger than voxels, most boxes have none by the time.
+    #[inline(always)]
+    fn has_free(&self, from: [usize; 3], to: [usize; 3]) -> bool {
+        (from[2]..=to[2]).any(|z| {
+            (from[1]..=to[1]).any(|y| {
+                let row = self.full * (y + self.full * z);
+                self.of_sample[row + from[0]..=row + to[0]].contains(&0)
+            })
+        })
     }
 
     /// Gives the free samples inside the planes to a tetrahedron; whether there was one.
     fn fill(&mut self, planes: &[Plane; 4], from: [usize; 3], to: [usize; 3], number: u32) -> bool {
+        if to[0] - from[0] < SHORT {
+            return self.fill_short(planes, from, to, number);
+        }
         let inverse = planes.map(|p| 1.0 / p.n[0]);
         let mut is_filled = false;
         for z in from[2]..=to[2] {
@@ -114,6 +148,35 @@ impl Raster {
                     let of_sample = &mut self.of_sample[row + x];
                     if *of_sample == 0 && !(crosses_inner && inner.contains(&x)) {
                         *of_sample = number;
+                        is_filled = true;
+                    }
+                }
+            }
+        }
+        is_filled
+    }
+
+    /// The same where rows are short: with a test per free sample.
+    #[inline(always)]
+    fn fill_short(&mut self, planes: &[Plane; 4], from: [usize; 3], to: [usize; 3], number: u32) -> bool {
+        let mut is_filled = false;
+        let inner = self.inner();
+        for z in from[2]..=to[2] {
+            let at_z = self.place(2, z);
+            let by_z = planes.map(|p| p.n[2] * at_z + p.d);
+            for y in from[1]..=to[1] {
+                let at_y = self.place(1, y);
+                let rest: [f64; 4] = std::array::from_fn(|k| planes[k].n[1] * at_y + by_z[k]);
+                let row = self.full * (y + self.full * z);
+                let crosses_inner = self.which == Wanted::Borders && inner.contains(&y) && inner.contains(&z);
+                for x in from[0]..=to[0] {
+                    if self.of_sample[row + x] != 0 || crosses_inner && inner.contains(&x) {
+                        continue;
+                    }
+                    let at_x = self.place(0, x);
+                    let is_inside = |k: usize| planes[k].n[0] * at_x + rest[k] >= -TOLERANCE;
+                    if is_inside(0) & is_inside(1) & is_inside(2) & is_inside(3) {
+                        self.of_sample[row + x] = number;
                         is_filled = true;
                     }
                 }
@@ -144,8 +207,8 @@ impl Raster {
         }
         // A little wider than it is, so that what is left only needs to shrink.
         let first_place = self.first[0] as f64;
-        let first = (low * self.per_root - first_place - 1e-3).ceil().max(from as f64);
-        let last = (high * self.per_root - first_place + 1e-3).floor().min(to as f64);
+        let first = ceil(low * self.per_root - first_place - 1e-3).max(from as i64);
+        let last = floor(high * self.per_root - first_place + 1e-3).min(to as i64);
         if first > last {
             return None;
         }
@@ -170,28 +233,46 @@ impl Raster {
     pub fn finish(self) -> BrickMap {
         let inner = self.inner();
         let mut runs: Vec<u32> = Vec::new();
+        let mut tetrahedra = Vec::with_capacity(self.tetrahedra.len());
+        // Numbers as the runs come to them, counted from 1: so what is computed of them lies in the order in which it is used.
+        let mut renumbered = vec![0u32; self.tetrahedra.len()];
         for (r, row) in self.of_sample.chunks(self.full).enumerate() {
             let crosses_inner = self.which == Wanted::Borders
                 && inner.contains(&(r % self.full))
                 && inner.contains(&(r / self.full));
-            let owner = |x: usize| match row[x] {
-                0 if crosses_inner && inner.contains(&x) => OTHERWISE,
-                0 => NO_TETRAHEDRON,
-                number => number - 1,
-            };
             let mut start = 0;
-            for x in 1..=self.full {
-                if x == self.full || owner(x) != owner(start) {
-                    runs.push(owner(start) << 8 | (x - start) as u32);
-                    start = x;
-                }
+            while start < self.full {
+                let number = row[start];
+                let mut end = match crosses_inner && start < inner.start {
+                    true => inner.start,
+                    false => self.full,
+                };
+                let owner = match number {
+                    _ if crosses_inner && inner.contains(&start) => {
+                        end = inner.end;
+                        OTHERWISE
+                    }
+                    0 => NO_TETRAHEDRON,
+                    number => {
+                        let old = number as usize - 1;
+                        if renumbered[old] == 0 {
+                            tetrahedra.push(self.tetrahedra[old]);
+                            renumbered[old] = tetrahedra.len() as u32;
+                        }
+                        renumbered[old] - 1
+                    }
+                };
+                let len = row[start..end].iter().take_while(|other| **other == number).count();
+                runs.push(owner << 8 | len as u32);
+                start += len;
             }
         }
-        BrickMap { tetrahedra: self.tetrahedra, runs }
+        BrickMap { tetrahedra, runs }
     }
 }
 
 /// The four planes, inwards and of unit length; `None` for a tetrahedron without a volume.
+#[inline(always)]
 fn planes_of(corners: &Corners) -> Option<[Plane; 4]> {
     let mut planes = [Plane { n: [0.0; 3], d: 0.0 }; 4];
     for (plane, [a, b, c, opposite]) in planes.iter_mut().zip(FACES) {

@@ -198,8 +198,9 @@ fn unique_faces(tetrahedra: &[[u32; 4]]) -> Faces {
     let numbered = tetrahedra.par_iter().enumerate();
     let mut halves: Vec<HalfFace> = numbered.flat_map_iter(|(n, cell)| half_faces(n as u32, *cell)).collect();
     halves.par_sort_unstable_by_key(|half| (half.points, half.side, half.cell));
-    let mut found =
-        Faces { faces: Vec::new(), sides: Vec::new(), of_cells: vec![[NO_CELL; 4]; tetrahedra.len()] };
+    let num = halves.chunk_by(|a, b| a.points == b.points).count();
+    let (faces, sides) = (Vec::with_capacity(num), Vec::with_capacity(num));
+    let mut found = Faces { faces, sides, of_cells: vec![[NO_CELL; 4]; tetrahedra.len()] };
     for same in halves.chunk_by(|a, b| a.points == b.points) {
         let number = found.faces.len() as u32;
         let on = |side: i8| same.iter().filter(move |half| half.side == side);

@@ -482,5 +482,8 @@ fn left_out_text(census: &MeshCensus) -> String {
     for (count, what) in left_out.into_iter().filter(|(count, _)| *count > 0) {
         text += &format!("; {count} {what} left out");
     }
+    if census.num_curved > 0 {
+        text += &format!("; {} cells of higher order taken by their corners", census.num_curved);
+    }
     text
 }

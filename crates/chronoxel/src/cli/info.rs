@@ -289,6 +289,7 @@ fn mesh_json(mesh: &mut dyn MeshSeries, census: &MeshCensus) -> anyhow::Result<V
         "num_points": census.num_points,
         "bounds": bounds,
         "cells": census.cells,
+        "cells_of_higher_order": census.num_curved,
         "tetrahedra": {
             "kept": census.num_tetrahedra,
             "flat": census.num_flat,

@@ -92,10 +92,11 @@ pub struct CellSession {
     memory_bytes: u64,
 }
 
-/// Bytes of a point while its mesh is drawn: its place, in the world and in the picture, and values.
-const BYTES_PER_POINT: u64 = 24 + 12 + 16 + 8;
-/// Bytes of a tetrahedron: itself twice while faces are found, its four sides then, later two faces in a view and the lists of tiles.
-const BYTES_PER_CELL: u64 = 2 * 16 + 4 * 16 + 34;
+/// Bytes of a point while its mesh is drawn: its place, in the world and in the picture, its variation, and values.
+const BYTES_PER_POINT: u64 = 24 + 12 + 16 + 16 + 8;
+/// Bytes of a tetrahedron, the most of: itself twice and its four sides, while its faces are found; two faces with what lies at them, their order and
+/// the lists of the tiles, while it is drawn.
+const BYTES_PER_CELL: u64 = 200;
 /// Bytes that a pixel takes while a picture is made.
 const BYTES_PER_PIXEL: u64 = 40;
 /// Share of what the mesh leaves of the memory that the payloads of spans may take.
