@@ -23,8 +23,11 @@ fn data() -> Option<PathBuf> {
     None
 }
 
+/// A mesh, its points, and a value at each.
+type Field = (Arc<CellMesh>, Vec<[f64; 3]>, Vec<f64>);
+
 /// A mesh and the values of its file, or of its files with a comma in between.
-fn mesh_of(files: &str) -> Option<(Arc<CellMesh>, Vec<[f64; 3]>, Vec<f64>)> {
+fn mesh_of(files: &str) -> Option<Field> {
     let folder = data()?;
     let paths: Vec<String> = files.split(',').map(|file| folder.join(file).display().to_string()).collect();
     let mut series = sources::open_mesh(&paths, &Default::default()).unwrap();

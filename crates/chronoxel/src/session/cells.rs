@@ -63,7 +63,7 @@ pub(crate) enum StepValues<'a> {
 
 /// What draws.
 enum Drawer {
-    Cpu(CellRenderer),
+    Cpu(Box<CellRenderer>),
     Gpu(Box<GpuCellRenderer>),
 }
 
@@ -136,7 +136,7 @@ impl CellSession {
             .with_context(|| format!("{}: the mesh cannot be drawn", path.display()))?;
         let mesh = Arc::new(mesh);
         let options = CellOptions { k, ..CellOptions::default() };
-        let drawer = Drawer::Cpu(CellRenderer::new(Arc::clone(&mesh), options)?);
+        let drawer = Drawer::Cpu(Box::new(CellRenderer::new(Arc::clone(&mesh), options)?));
         let left = (memory_bytes - mesh_bytes) as f64 * PAYLOAD_SHARE;
         Ok(Self {
             store,
