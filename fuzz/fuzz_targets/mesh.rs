@@ -5,7 +5,7 @@ use chronoxel_fuzz::{read_mesh, write};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    for name in ["a.vtk", "a.vts", "a.vtr", "a.vtu"] {
+    for name in ["a.vtk", "a.vts", "a.vtr", "a.vtu", "a.pvts", "a.pvtr", "a.pvtu"] {
         read_mesh(&[write(name, bytes)]);
     }
 });

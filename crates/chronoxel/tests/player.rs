@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use chronoxel::player::{Late, Player, PlayerOptions};
 use chronoxel::session::{Picture, Session, View, orbit_camera};
-use chronoxel_core::{ColorMap, Image, TransferFunction};
+use chronoxel_core::{Camera, ColorMap, Image, Projection, TransferFunction};
 use chronoxel_ingest::{Codec, EncodeOptions, encode, sources};
 use chronoxel_render::GpuPicture;
 
@@ -123,6 +123,34 @@ fn what_rests_is_refined_to_full_quality_and_then_not_drawn() {
     assert!(coarsest < 8, "{coarsest} nodes however fast it has to be");
     // Anything that changes is drawn.
     assert!(player.frame(&view, 6).unwrap().picture.is_some());
+}
+
+/// What is expected decides how much may be drawn: where the eye is within the volume, too, and sees parts of bricks.
+#[test]
+fn samples_are_expected_before_they_are_taken() {
+    let store = store();
+    let options = PlayerOptions { redraws: true, ..PlayerOptions::default() };
+    let mut player = player(store, 64 << 20, &[5], options);
+    let bounds = player.session().store().header().grid.bounds();
+    let at = |shares: [f64; 3]| -> [f64; 3] {
+        std::array::from_fn(|a| bounds[0][a] + shares[a] * (bounds[1][a] - bounds[0][a]))
+    };
+    for (eye, goal) in [
+        ([0.5, -4.0, 0.5], [0.5; 3]),
+        ([0.4, -0.3, 0.3], [0.6, 0.5, 0.5]),
+        ([0.31, 0.33, 0.52], [0.9, 0.8, 0.6]),
+        ([0.77, 0.52, 0.48], [0.8, 0.6, 0.45]),
+    ] {
+        let projection = Projection::Perspective { fov_y_deg: 30.0 };
+        let camera = Camera::new(at(eye), at(goal), [0.0, 0.0, 1.0], projection).unwrap();
+        // So thin that no ray ends early.
+        let view = View { camera, opacity_unit: 1e9, ..view_of(player.session(), 0.0) };
+        let played = player.next(&view).unwrap();
+        let decoded = 0.25 * 11f64.powi(3) * played.num_drawn as f64;
+        let (expected, taken) = (played.expected_cost - decoded, played.picture.unwrap().samples as f64);
+        println!("{eye:?}: {expected:.0} expected, {taken} taken in {} bricks", played.num_drawn);
+        assert!(taken > 1000.0 && (0.7..1.5).contains(&(expected / taken)), "{eye:?}: {expected} {taken}");
+    }
 }
 
 #[test]

@@ -4,7 +4,10 @@
 //! join corners of the even colour, so that neighbouring cells agree on their common face: one tetrahedron has the four even corners of a cell, and
 //! each odd corner is cut off by one of its own.
 
+use std::collections::HashMap;
 use std::path::Path;
+
+use xxhash_rust::xxh3::Xxh3Builder;
 
 use super::{CellKind, MeshCensus, Sieve, VisitTetrahedron};
 use crate::SourceError;
@@ -16,6 +19,8 @@ pub(crate) struct Block {
     pub dims: [usize; 3],
     /// Number of its first point in the mesh.
     pub first_point: usize,
+    /// Whether the colours of its points are exchanged, for the sake of a neighbouring block.
+    pub is_exchanged: bool,
 }
 
 /// The blocks of a structured grid.
@@ -51,6 +56,34 @@ const EVEN: [[usize; 4]; 5] = [[0, 5, 3, 6], [1, 3, 0, 5], [2, 0, 3, 6], [4, 5, 
 const ODD: [[usize; 4]; 5] = [[1, 2, 4, 7], [0, 1, 2, 4], [3, 2, 1, 7], [5, 1, 4, 7], [6, 4, 2, 7]];
 
 impl Blocks {
+    /// Exchanges the colours of blocks so that those whose outer points lie at the same places split the faces between them alike, and no crack opens between
+    /// them. Where blocks in a ring cannot agree, those that come first do.
+    pub fn match_colours(&mut self, points: &[[f64; 3]]) {
+        if self.blocks.len() < 2 {
+            return;
+        }
+        // The block of each outer place, and whether its point is odd there.
+        let mut known: HashMap<[u64; 3], (usize, bool), Xxh3Builder> = HashMap::default();
+        // Per block: one that it hangs together with, and whether their colours are exchanged against each other.
+        let mut hangs_on: Vec<(usize, bool)> = (0..self.blocks.len()).map(|block| (block, false)).collect();
+        for (number, block) in self.blocks.iter().enumerate() {
+            for [i, j, k] in outer_points(block.dims) {
+                let point = points[block.first_point + i + block.dims[0] * (j + block.dims[1] * k)];
+                let is_odd = (i + j + k) % 2 == 1;
+                // Zeros of both signs lie at one place.
+                let place = point.map(|v| (v + 0.0).to_bits());
+                let (other, other_is_odd) = *known.entry(place).or_insert((number, is_odd));
+                let [(a, a_flip), (b, b_flip)] = [number, other].map(|block| root_of(&hangs_on, block));
+                if a != b {
+                    hangs_on[a.max(b)] = (a.min(b), a_flip ^ b_flip ^ is_odd ^ other_is_odd);
+                }
+            }
+        }
+        for (number, block) in self.blocks.iter_mut().enumerate() {
+            block.is_exchanged = root_of(&hangs_on, number).1;
+        }
+    }
+
     /// Hands the tetrahedra of all blocks to `visit`.
     pub fn for_each_tetrahedron(
         &self,
@@ -70,6 +103,27 @@ impl Blocks {
         }
         sieve.finish(path)
     }
+}
+
+/// The first of the blocks that one hangs together with, and whether their colours are exchanged against each other.
+fn root_of(hangs_on: &[(usize, bool)], mut block: usize) -> (usize, bool) {
+    let mut is_exchanged = false;
+    while hangs_on[block].0 != block {
+        is_exchanged ^= hangs_on[block].1;
+        block = hangs_on[block].0;
+    }
+    (block, is_exchanged)
+}
+
+/// Indices of the points on the faces of a lattice.
+fn outer_points([nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    (0..nz).flat_map(move |k| {
+        (0..ny).flat_map(move |j| {
+            let is_outer = k == 0 || k + 1 == nz || j == 0 || j + 1 == ny;
+            let step = if is_outer { 1 } else { nx.saturating_sub(1).max(1) };
+            (0..nx).step_by(step).map(move |i| [i, j, k])
+        })
+    })
 }
 
 /// Hands over the points of one layer of constant k by appending them.
@@ -106,7 +160,8 @@ pub(crate) fn for_each_of_block(
             }
             let corners: [[f64; 3]; 8] =
                 std::array::from_fn(|c| if c < 4 { lower[in_layer(c)] } else { upper[in_layer(c)] });
-            for tetrahedron in if (i + j + k) % 2 == 0 { EVEN } else { ODD } {
+            for tetrahedron in if (i + j + k + usize::from(block.is_exchanged)) % 2 == 0 { EVEN } else { ODD }
+            {
                 let points = tetrahedron.map(|c| index(c) as u32);
                 sieve.take(CellKind::Hexahedron, points, tetrahedron.map(|c| corners[c]))?;
             }

@@ -127,7 +127,7 @@ impl MeshSeries for MemoryMesh {
         match &self.topology {
             Topology::Lattice(dims) => {
                 let blocks = Blocks {
-                    blocks: vec![Block { dims: *dims, first_point: 0 }],
+                    blocks: vec![Block { dims: *dims, first_point: 0, is_exchanged: false }],
                     blanked: Blanked::default(),
                 };
                 blocks.for_each_tetrahedron(Path::new(NAME), &self.points, self.flat_threshold, visit)

@@ -108,7 +108,7 @@ impl MeshSeries for Twist {
 
     fn for_each_tetrahedron(&mut self, visit: &mut VisitTetrahedron<'_>) -> Result<MeshCensus, SourceError> {
         let mut sieve = Sieve::new(self.num_points(), DEFAULT_FLAT_THRESHOLD, visit);
-        let block = Block { dims: self.dims, first_point: 0 };
+        let block = Block { dims: self.dims, first_point: 0, is_exchanged: false };
         for_each_of_block(block, &Blanked::default(), &mut sieve, &mut |k, out| {
             push_layer(self.dims, k, out);
             Ok(())

@@ -110,7 +110,10 @@ impl Geometry {
         let points = file.points()?;
         check_points(path, 0, &points)?;
         let cells = match file.topology()? {
-            Topology::Blocks(blocks) => Walkable::Blocks(blocks),
+            Topology::Blocks(mut blocks) => {
+                blocks.match_colours(&points);
+                Walkable::Blocks(blocks)
+            }
             Topology::Cells(list) => Walkable::Cells(CheckedCells::new(path, list, points.len())?),
         };
         Ok(Self { points, cells })
@@ -289,7 +292,10 @@ pub(crate) fn lattice(
         None => Ok(Vec::new()),
     };
     let blanked = Blanked::new(hidden(points, HIDDEN_POINT)?, hidden(cells, HIDDEN_CELL)?);
-    Ok(Topology::Blocks(Blocks { blocks: vec![Block { dims, first_point: 0 }], blanked }))
+    Ok(Topology::Blocks(Blocks {
+        blocks: vec![Block { dims, first_point: 0, is_exchanged: false }],
+        blanked,
+    }))
 }
 
 /// The flag of points without data in VTK's array of ghosts.

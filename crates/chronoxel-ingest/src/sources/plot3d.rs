@@ -238,7 +238,7 @@ impl MeshFile for SolutionFile {
         let mut blanked = Vec::new();
         let mut first_point = 0;
         for (block, &dims) in grid.blocks.iter().enumerate() {
-            blocks.push(Block { dims, first_point });
+            blocks.push(Block { dims, first_point, is_exchanged: false });
             let count = grid.num_points(block);
             first_point += count as usize;
             if grid.has_iblank {

@@ -39,10 +39,13 @@ pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 /// The smallest box around corners.
 #[inline(always)]
 pub fn bounds(corners: &Corners) -> [[f64; 3]; 2] {
-    let fold = |f: fn(f64, f64) -> f64| {
-        std::array::from_fn(|a| f(f(corners[0][a], corners[1][a]), f(corners[2][a], corners[3][a])))
-    };
-    [fold(f64::min), fold(f64::max)]
+    let [a, b, c, d] = corners;
+    // Corners are numbers: a comparison is enough.
+    let least = |a: f64, b: f64| if b < a { b } else { a };
+    let most = |a: f64, b: f64| if b > a { b } else { a };
+    let low = |i: usize| least(least(a[i], b[i]), least(c[i], d[i]));
+    let high = |i: usize| most(most(a[i], b[i]), most(c[i], d[i]));
+    [[low(0), low(1), low(2)], [high(0), high(1), high(2)]]
 }
 
 impl Shape {

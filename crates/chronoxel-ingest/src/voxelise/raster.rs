@@ -272,6 +272,7 @@ impl Raster {
 }
 
 /// The four planes, inwards and of unit length; `None` for a tetrahedron without a volume.
+#[inline(always)]
 fn planes_of(corners: &Corners) -> Option<[Plane; 4]> {
     let mut planes = [Plane { n: [0.0; 3], d: 0.0 }; 4];
     for (plane, [a, b, c, opposite]) in planes.iter_mut().zip(FACES) {

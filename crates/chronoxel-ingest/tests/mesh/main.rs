@@ -2,6 +2,7 @@
 
 mod conformity;
 mod files;
+mod pieces;
 mod plot3d;
 mod real_data;
 mod refused;

@@ -42,8 +42,10 @@ fn says(message: &str, parts: &[&str]) {
 
 #[test]
 fn cells_of_a_kind_that_is_not_known() {
-    let message = refusal(&inputs(&["mesh/refused_quadratic.vtu"]), &SourceOptions::default());
-    says(&message, &["refused_quadratic.vtu", "type of cell 1 is 24", "not supported"]);
+    let message = changed("mesh/quadratic.vtu", "          10 24\n", "          10 42\n");
+    says(&message, &["quadratic.vtu", "type of cell 1 is 42", "not supported"]);
+    let message = changed("mesh/quadratic.vtu", "          10 24\n", "          10 25\n");
+    says(&message, &["number of corners of cell 1 is 10", "type 25 has 20"]);
 }
 
 #[test]

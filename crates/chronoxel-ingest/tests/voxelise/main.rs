@@ -1,5 +1,6 @@
 //! Meshes as bricks: what is sampled, what a store of them holds.
 
+mod blocks;
 mod blunt_fin;
 #[path = "../common/files.rs"]
 mod files;

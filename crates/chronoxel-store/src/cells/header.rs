@@ -244,7 +244,9 @@ impl CellHeader {
             return problem("number of steps", &self.times.num_steps(), "at most 2^32 - 1");
         }
         let finished = self.num_steps_finished;
-        if finished > self.num_steps() || (finished < self.num_steps() && finished % BLOCK_STEPS != 0) {
+        if finished > self.num_steps()
+            || (finished < self.num_steps() && !finished.is_multiple_of(BLOCK_STEPS))
+        {
             return problem("num_steps_finished", &finished, "whole blocks of 64 steps are finished");
         }
         if !(-7..=22).contains(&self.zstd_level) {

@@ -167,7 +167,7 @@ fn record_of(
     let CellClass { window, .. } = &classes[usize::from(class)];
     let len = whole("len", len, u64::from(BLOCK_STEPS) + 1)? as u32;
     let due = header.span_len(start, *window);
-    if start % window != 0 || len != due || !classes[usize::from(class)].fits(len) {
+    if !start.is_multiple_of(*window) || len != due || !classes[usize::from(class)].fits(len) {
         return Err(format!("{len} steps from step {start} on are no span of class {class}"));
     }
     let mask = match mask.is_nan() {

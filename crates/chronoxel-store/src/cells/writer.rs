@@ -216,7 +216,7 @@ impl CellStoreWriter {
                 let value = format!("window {} from step {} on", span.window, span.start);
                 Err(StoreError::invalid("span", value, remedy))
             };
-            if span.start != next || next >= end || span.window == 0 || next % span.window != 0 {
+            if span.start != next || next >= end || span.window == 0 || !next.is_multiple_of(span.window) {
                 return foreign("spans follow each other, at multiples of their window");
             }
             let len = self.header.span_len(span.start, span.window);

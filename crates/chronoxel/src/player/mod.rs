@@ -31,7 +31,7 @@ use crate::session::{Faults, HeldKey, Picture, Session, Spans, View};
 pub use cells::{CellPlayed, CellPlayer, CellPlayerOptions, DetailPace};
 pub use chronoxel_stream::Late;
 use loader::Loader;
-use nodes::{ColorErrors, FrameNodes, StepSpans, key_of};
+use nodes::{ColorErrors, FrameNodes, SomeRays, StepSpans, key_of};
 pub use path::CameraPath;
 
 /// How to play.
@@ -92,6 +92,8 @@ pub struct Played {
     pub num_drawn: usize,
     /// Of these, those that are coarser than was asked for, and would look different finer.
     pub num_coarse: usize,
+    /// What drawing them was expected to cost: samples along rays, and a quarter of those to decode.
+    pub expected_cost: f64,
     /// Mean edge of a voxel in pixels over the nodes that are drawn.
     pub pixels_per_voxel: f64,
     /// The largest of them.
@@ -106,6 +108,8 @@ const NUM_LOADERS: usize = 2;
 const MOST_IN_FLIGHT: usize = 64;
 /// Payloads read in one go.
 const BATCH: usize = 16;
+/// Part of the time of a frame that is aimed for: frames vary, and most are to be in time.
+const AIM: f64 = 0.92;
 /// Part of the memory for payloads that the coarsest level of all steps may take.
 const COARSE_SHARE: f64 = 0.15;
 /// Part of the memory for payloads that those of one picture may take: the rest is for what comes next.
@@ -176,7 +180,7 @@ impl Player {
             loader: Loader::new(Arc::clone(&store), session.variable(), NUM_LOADERS, options.throttle)?,
             residency: Residency::new(budgets.payload_bytes, coarse_bytes, MOST_IN_FLIGHT),
             cut: ActiveCut::new(tree, &store.header().grid, store.layout()),
-            pace: options.target_fps.map(|fps| Pace::new(1e3 / fps)),
+            pace: options.target_fps.map(|fps| Pace::new(AIM * 1e3 / fps)),
             num_ahead: num_ahead.min(order.len()),
             session,
             options,
@@ -292,6 +296,7 @@ impl Player {
             num_nodes: adapted.num_nodes,
             num_drawn: adapted.num_drawn,
             num_coarse: adapted.num_coarse,
+            expected_cost: adapted.cost,
             pixels_per_voxel: adapted.pixels_per_voxel,
             most_pixels_per_voxel: adapted.most_pixels_per_voxel,
             is_settled,
@@ -327,7 +332,8 @@ impl Player {
         let Self { session, residency, errors, cut, .. } = self;
         let Some(errors) = errors else { return false };
         let volume = session.view_volume(view);
-        let mut nodes = frame_nodes(session, view, &volume, &spans, residency, errors);
+        let rays = SomeRays::of(view);
+        let mut nodes = frame_nodes(session, view, &volume, &spans, residency, errors, &rays);
         drawn_nodes(cut).all(|node| nodes.is_resident(node))
     }
 }
@@ -365,6 +371,7 @@ impl Played {
             num_nodes: 0,
             num_drawn: 0,
             num_coarse: 0,
+            expected_cost: 0.0,
             pixels_per_voxel: 0.0,
             most_pixels_per_voxel: 0.0,
             is_settled: false,
@@ -379,6 +386,7 @@ fn frame_nodes<'a>(
     spans: &'a StepSpans,
     residency: &'a Residency<HeldKey>,
     errors: &'a mut ColorErrors,
+    rays: &'a SomeRays,
 ) -> FrameNodes<'a> {
     let store = session.store();
     FrameNodes {
@@ -393,6 +401,7 @@ fn frame_nodes<'a>(
         next: None,
         residency,
         errors,
+        rays,
         assumes_resident: false,
     }
 }
@@ -415,11 +424,12 @@ impl Player {
         let volume = session.view_volume(view);
         let tree = session.store().tree();
         let errors = errors.as_mut().expect("made above");
+        let rays = SomeRays::of(view);
         let mut nodes = FrameNodes {
             next: next.as_deref().filter(|_| !is_at_rest),
             // What is missing at full quality is waited for, or stood in for.
             assumes_resident: pace.is_none(),
-            ..frame_nodes(session, view, &volume, spans, residency, errors)
+            ..frame_nodes(session, view, &volume, spans, residency, errors, &rays)
         };
         let limits = CutLimits {
             cost: pace.as_ref().filter(|_| !is_at_rest).map_or(f64::INFINITY, Pace::cost_limit),

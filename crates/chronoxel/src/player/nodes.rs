@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 
 use chronoxel_core::{
-    BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, Projection, SpanKind, SpanRecord, UniformGrid,
+    BrickLayout, NodeFacts, NodeId, NodeStatistics, Octree, Projection, Ray, SpanKind, SpanRecord,
+    UniformGrid,
     metrics::{ColorSpace, ColorTable, approximate_spatial},
 };
 use chronoxel_store::Store;
@@ -160,6 +161,8 @@ pub(super) struct FrameNodes<'a> {
     pub next: Option<&'a [Option<Spans>]>,
     pub residency: &'a Residency<HeldKey>,
     pub errors: &'a mut ColorErrors,
+    /// Some of the picture's rays, that tell how much of a node is seen.
+    pub rays: &'a SomeRays,
     /// Whether to say of every node that it is in memory, or will be waited for.
     pub assumes_resident: bool,
 }
@@ -192,14 +195,72 @@ impl FrameNodes<'_> {
     }
 }
 
+/// Rays through a picture, along its columns and rows: a node that is a quarter of the picture's height is crossed by nine of them or more.
+const RAYS_ALONG: [usize; 2] = [16, 12];
+
+/// Rays that are spread evenly over a picture.
+pub(super) struct SomeRays {
+    /// Each through as many pixels as the next.
+    rays: Vec<Ray>,
+    pixels_each: f64,
+}
+
+impl SomeRays {
+    /// Of a picture.
+    pub fn of(view: &View) -> Self {
+        let [columns, rows] = RAYS_ALONG;
+        let through = view.camera.rays(view.size);
+        let place = |n: usize, of: usize, size: usize| (n as f64 + 0.5) / of as f64 * size as f64;
+        let rays = (0..columns * rows).map(|n| {
+            through.ray([place(n % columns, columns, view.size[0]), place(n / columns, rows, view.size[1])])
+        });
+        let rays: Vec<Ray> = rays.collect();
+        let num_pixels = view.size[0] as f64 * view.size[1] as f64;
+        Self { pixels_each: num_pixels / rays.len() as f64, rays }
+    }
+
+    /// Lengths of all of the picture's rays in a box of the world, summed up, as far as these tell.
+    fn length_in(&self, low: [f64; 3], high: [f64; 3]) -> f64 {
+        self.rays.iter().map(|ray| length_in(ray, low, high)).sum::<f64>() * self.pixels_each
+    }
+}
+
+/// The length of a ray in a box.
+fn length_in(ray: &Ray, low: [f64; 3], high: [f64; 3]) -> f64 {
+    let (mut entry, mut exit) = (0.0f64, f64::INFINITY);
+    for a in 0..3 {
+        let inverse = 1.0 / ray.direction[a];
+        let (near, far) = ((low[a] - ray.origin[a]) * inverse, (high[a] - ray.origin[a]) * inverse);
+        // NaN, where a ray runs along a face, sets no limit.
+        entry = entry.max(near.min(far));
+        exit = exit.min(near.max(far));
+    }
+    if exit > entry && exit.is_finite() { exit - entry } else { 0.0 }
+}
+
 impl FrameNodes<'_> {
-    /// Samples that rays take in a node, roughly: for each octant that is seen, its volume times the rays that cross a unit of area there, over the step length.
+    /// Samples that rays take in a node, roughly: by some rays where it is large in the picture, so that it may be seen in part; else for each octant that is seen,
+    /// its volume times the rays that cross a unit of area there, over the step length.
     fn num_samples(&self, node: NodeId) -> f64 {
         let [low, high] = self.region(node);
         let camera = &self.view.camera;
         let extent: [f64; 3] = std::array::from_fn(|a| 0.5 * (high[a] - low[a]) * self.grid.spacing[a]);
         let size = extent.iter().copied().fold(0.0, f64::max);
         let per_unit = self.view.size[1] as f64 / (2.0 * camera.half_height());
+        let step = self.view.step_voxels * self.grid.smallest_spacing() * f64::from(node.level).exp2();
+        let [first, last] = [low, high].map(|corner| self.grid.world_from_voxel(corner));
+        let centre: [f64; 3] = std::array::from_fn(|a| 0.5 * (first[a] + last[a]));
+        let distance = match camera.projection() {
+            Projection::Orthographic { .. } => 1.0,
+            Projection::Perspective { .. } => {
+                let squares = (0..3).map(|a| (centre[a] - camera.position()[a]).powi(2));
+                squares.sum::<f64>().sqrt() - size
+            }
+        };
+        let quarter = 0.25 * self.view.size[1] as f64;
+        if 2.0 * size * per_unit > quarter * distance {
+            return self.rays.length_in(first, last) / step;
+        }
         let rays_per_area = |octant: usize| {
             let centre: [f64; 3] = std::array::from_fn(|a| {
                 low[a] + (0.25 + 0.5 * (octant >> a & 1) as f64) * (high[a] - low[a])
@@ -215,7 +276,6 @@ impl FrameNodes<'_> {
                 Projection::Perspective { .. } => (per_unit / distance.max(0.5 * size)).powi(2),
             }
         };
-        let step = self.view.step_voxels * self.grid.smallest_spacing() * f64::from(node.level).exp2();
         (0..8).map(rays_per_area).sum::<f64>() * extent.iter().product::<f64>() / step
     }
 }
@@ -272,5 +332,22 @@ impl NodeView for FrameNodes<'_> {
             .and_then(|(spans, rank)| spans.get(usize::from(node.level))?.as_ref()?.get(rank));
         // Spans that cannot be read are dealt with in drawing.
         self.spans.record(self.tree, node).is_none_or(is_here) && at_next.is_none_or(is_here)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_length_of_a_ray_in_a_box_is_that_between_its_faces() {
+        let ray = |origin: [f64; 3], direction: [f64; 3]| Ray { origin, direction };
+        let length = |ray: &Ray| length_in(ray, [0.0; 3], [2.0, 4.0, 6.0]);
+        assert_eq!(length(&ray([-1.0, 1.0, 1.0], [1.0, 0.0, 0.0])), 2.0);
+        assert_eq!(length(&ray([0.5, 1.0, 1.0], [1.0, 0.0, 0.0])), 1.5);
+        assert_eq!(length(&ray([3.0, 1.0, 1.0], [1.0, 0.0, 0.0])), 0.0);
+        assert_eq!(length(&ray([-1.0, 5.0, 1.0], [1.0, 0.0, 0.0])), 0.0);
+        let [x, y] = [0.6, 0.8];
+        assert!((length(&ray([0.0, 0.0, 3.0], [x, y, 0.0])) - 2.0 / x).abs() < 1e-12);
     }
 }

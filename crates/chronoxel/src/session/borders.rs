@@ -22,7 +22,8 @@ impl Session {
         let mut first = 0;
         while first < items.len() {
             let start = Instant::now();
-            let num_payloads = items[first..].iter().map(|item| usize::from(item.how == How::Payload));
+            // Each as it is, and as it is drawn.
+            let num_payloads = items[first..].iter().map(|item| 2 * usize::from(item.how == How::Payload));
             let portion = first..first + self.num_in_portion(num_payloads);
             let others = borders.needed_by(portion.clone()).into_iter().map(|i| items[i].clone());
             let others: Vec<DrawItem> = others.collect();

@@ -43,3 +43,27 @@ fn info_knows_plot3d_and_rectilinear_grids() {
     assert!(even.contains("rectilinear 4 x 3 x 3") && even.contains("evenly spaced"), "{even}");
     refused(folder.path(), &format!("info {}", pair[0]), &["name its solution files too"]);
 }
+
+#[test]
+fn levels_are_filtered_at_their_borders_where_that_is_asked_for() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    done(
+        folder,
+        "encode sim:twist?dims=17&steps=2 --brick 8 --max-depth 3 --field-threshold 0.1 -o t.cxl -q",
+    );
+    let picture = "render t.cxl --size 80x60 --tf filled --step 0.25";
+    done(folder, &format!("{picture} --backend cpu -o sharp.png -q"));
+    let report = json(folder, &format!("{picture} --level-borders filtered -o filtered.png"));
+    assert_eq!(report["backend"], "cpu");
+    let compared = json(folder, "compare sharp.png filtered.png");
+    // They differ at the borders and nowhere else.
+    let psnr = compared["psnr_db"].as_f64().unwrap();
+    assert!((30.0..90.0).contains(&psnr), "{compared}");
+    done(folder, "play t.cxl --size 40x30 --level-borders filtered --target-fps 200 -q");
+    refused(
+        folder,
+        &format!("{picture} --level-borders filtered --backend gpu -o x.png"),
+        &["--level-borders filtered", "leave out --backend gpu"],
+    );
+}

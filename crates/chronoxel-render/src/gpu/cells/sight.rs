@@ -236,7 +236,15 @@ impl Sight {
             self.own_faces = None;
             match self.sorting {
                 CellWay::Cpu => self.sort_on_cpu(device, resident, camera)?,
-                CellWay::Gpu => self.sort_on_gpu(device, resident)?,
+                CellWay::Gpu => match self.sort_on_gpu(device, resident) {
+                    // There is room for what is drawn, if not for what it takes to sort it.
+                    Err(GpuError::MemoryTooSmall { .. }) => {
+                        (self.ordering, self.pairs) = (None, [None, None]);
+                        device.settle();
+                        self.sort_on_cpu(device, resident, camera)?;
+                    }
+                    sorted => sorted?,
+                },
             }
         }
         self.upload(device);

@@ -240,7 +240,7 @@ fn draw_bricks(
     let mut pictures = Vec::new();
     for level in 0..num_levels as u8 {
         let view = View {
-            camera: scene.camera.clone(),
+            camera: scene.camera,
             transfer: scene.transfer.clone(),
             size: scene.size,
             step_voxels: 0.5,
