@@ -254,6 +254,23 @@ fn neither_threads_nor_instructions_nor_what_was_drawn_before_change_a_bit() {
 }
 
 #[test]
+fn long_cells_are_drawn_in_order() {
+    // Towards one corner cells become a thousand times longer than wide: their centroids say little about what is in front.
+    let num = [14, 14, 14];
+    let long = |[x, y, z]: [f64; 3]| [4.0 * x.powi(4), y.powi(4), z.powi(4)];
+    let mesh = Arc::new(lattice(num, long, |_| true));
+    let values = waves(num, 0.4);
+    for fov in [None, Some(50.0)] {
+        for turn in 0..12 {
+            let first = scene(&mesh, "ramp", [96, 96], fov, false);
+            let camera = first.camera.turned(29.0 * f64::from(turn)).unwrap();
+            let (_, stats) = fast(&mesh, &CellScene { camera, ..first }, &values, 2);
+            assert_eq!(stats.num_misordered, 0, "{turn} {fov:?}: of {}", stats.num_fragments);
+        }
+    }
+}
+
+#[test]
 fn fewer_faces_come_close_and_keep_the_boundary() {
     let num = [12, 10, 11];
     let mesh = Arc::new(twisted(num));

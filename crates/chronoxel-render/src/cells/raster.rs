@@ -124,8 +124,10 @@ impl CellRenderer {
 
     /// Draws only some of the faces from now on, or all.
     pub fn choose(&mut self, choice: Option<FaceChoice>) {
+        if let Some(view) = &mut self.view {
+            view.choose(choice.as_ref());
+        }
         self.choice = choice;
-        self.view = None;
     }
 
     /// Bytes held in memory beside the mesh.

@@ -44,10 +44,12 @@ pub(super) struct Bin {
 pub struct CellView {
     camera: Camera,
     size: [usize; 2],
-    /// Faces that are drawn, by number.
-    chosen: Vec<u32>,
-    /// The same by depth.
-    order: Vec<u32>,
+    /// All faces, nearest first.
+    all: Vec<u32>,
+    /// Faces that are drawn, by number, and in the same order; all where there are none.
+    chosen: Option<(Vec<u32>, Vec<u32>)>,
+    /// Whether other faces are to be drawn than those that were projected.
+    is_stale: bool,
     /// See [`Seen`].
     pub(super) points: Vec<[f32; 3]>,
     pub(super) cuts: Vec<Cut>,
@@ -69,36 +71,48 @@ impl CellView {
     ///
     /// * `choice`: faces that are drawn; all where there is none
     pub fn new(mesh: &CellMesh, camera: &Camera, size: [usize; 2], choice: Option<&FaceChoice>) -> Self {
-        let chosen: Vec<u32> = match choice {
-            None => (0..mesh.faces.len() as u32).collect(),
-            Some(choice) => {
-                choice.faces.iter().copied().filter(|f| (*f as usize) < mesh.faces.len()).collect()
-            }
-        };
         let mut view = Self {
             camera: *camera,
             size,
-            order: visibility::order(mesh, camera, &chosen),
-            chosen,
+            all: visibility::order(mesh, camera),
+            chosen: None,
+            is_stale: false,
             points: Vec::new(),
             cuts: Vec::new(),
             bins: Vec::new(),
         };
+        view.choose(choice);
+        view.is_stale = false;
         view.project(mesh);
         view
+    }
+
+    /// Sees other faces of the same mesh, all where there is no choice, once it [looks](Self::look) again: their order is known.
+    pub fn choose(&mut self, choice: Option<&FaceChoice>) {
+        self.chosen = choice.map(|choice| {
+            let of_mesh = |face: &u32| (*face as usize) < self.all.len();
+            let chosen: Vec<u32> = choice.faces.iter().copied().filter(of_mesh).collect();
+            let in_order = visibility::only(&self.all, &chosen);
+            (chosen, in_order)
+        });
+        self.is_stale = true;
     }
 
     /// Sees the same faces of the same mesh from another place, and says whether anything changed; sorts them again
     /// only if the direction did, or in a perspective the eye.
     pub fn look(&mut self, mesh: &CellMesh, camera: &Camera, size: [usize; 2]) -> bool {
-        if self.camera == *camera && self.size == size {
+        if self.camera == *camera && self.size == size && !self.is_stale {
             return false;
         }
         let is_turned = visibility::depends_on(&self.camera) != visibility::depends_on(camera);
         (self.camera, self.size) = (*camera, size);
         if is_turned {
-            self.order = visibility::order(mesh, camera, &self.chosen);
+            self.all = visibility::order(mesh, camera);
+            if let Some((chosen, in_order)) = &mut self.chosen {
+                *in_order = visibility::only(&self.all, chosen);
+            }
         }
+        self.is_stale = false;
         self.project(mesh);
         true
     }
@@ -113,15 +127,21 @@ impl CellView {
         self.size
     }
 
+    /// Faces that are drawn, in the picture or not, in order.
+    fn order(&self) -> &[u32] {
+        self.chosen.as_ref().map_or(&self.all, |(_, in_order)| in_order)
+    }
+
     /// Faces that are drawn, in the picture or not.
     pub fn num_faces(&self) -> usize {
-        self.order.len()
+        self.order().len()
     }
 
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
         let of_bin = |bin: &Bin| 4 * bin.starts.len() + 16 * bin.list.len();
-        8 * self.order.len() + 12 * self.points.len() + self.bins.iter().map(of_bin).sum::<usize>()
+        let chosen = self.chosen.as_ref().map_or(0, |(chosen, _)| 8 * chosen.len());
+        4 * self.all.len() + chosen + 12 * self.points.len() + self.bins.iter().map(of_bin).sum::<usize>()
     }
 
     pub(super) fn is_perspective(&self) -> bool {
@@ -133,7 +153,7 @@ impl CellView {
     }
 
     fn project(&mut self, mesh: &CellMesh) {
-        let Seen { points, cuts, parts } = Seen::new(mesh, &self.camera, self.size, &self.order);
+        let Seen { points, cuts, parts } = Seen::new(mesh, &self.camera, self.size, self.order());
         (self.points, self.cuts) = (points, cuts);
         let this = &*self;
         self.bins = parts.into_par_iter().with_max_len(1).map(|faces| this.bin(faces)).collect();

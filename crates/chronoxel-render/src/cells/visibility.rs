@@ -22,18 +22,24 @@ pub(crate) fn depends_on(camera: &Camera) -> [[f64; 3]; 2] {
     [camera.axes()[2], if is_perspective { camera.position() } else { [0.0; 3] }]
 }
 
-/// Some faces of a mesh in order, nearest first.
+/// Those of the faces in order that are chosen.
 ///
-/// * `faces`: their numbers, rising
-pub(crate) fn order(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32> {
+/// * `chosen`: their numbers
+pub(crate) fn only(order: &[u32], chosen: &[u32]) -> Vec<u32> {
+    let mut is_chosen = vec![false; order.len()];
+    chosen.iter().for_each(|&face| is_chosen[face as usize] = true);
+    let of_part = |part: &[u32]| -> Vec<u32> {
+        part.iter().copied().filter(|face| is_chosen[*face as usize]).collect()
+    };
+    let parts: Vec<Vec<u32>> =
+        order.par_chunks(order.len().div_ceil(NUM_PARTS).max(1)).map(of_part).collect();
+    parts.concat()
+}
+
+/// All faces of a mesh in order, nearest first.
+pub(crate) fn order(mesh: &CellMesh, camera: &Camera) -> Vec<u32> {
     let fronts = fronts(mesh, camera);
     let cells = order_of_cells(mesh, camera, &fronts);
-    let is_chosen = (faces.len() < mesh.faces.len()).then(|| {
-        let mut is_chosen = vec![false; mesh.faces.len()];
-        faces.iter().for_each(|&face| is_chosen[face as usize] = true);
-        is_chosen
-    });
-    let chosen = |face: &u32| is_chosen.as_ref().is_none_or(|chosen| chosen[*face as usize]);
     let of_part = |cells: &[u32]| {
         let mut of_part = Vec::with_capacity(3 * cells.len());
         for &cell in cells {
@@ -42,7 +48,7 @@ pub(crate) fn order(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32>
             // A face comes after the tetrahedron in front of it, or where there is none before the one behind.
             let before = (0..4).filter(|&i| at[i] == [NO_CELL, cell]);
             let after = (0..4).filter(|&i| at[i][0] == cell);
-            of_part.extend(before.chain(after).map(|i| faces[i]).filter(chosen));
+            of_part.extend(before.chain(after).map(|i| faces[i]));
         }
         of_part
     };

@@ -8,6 +8,7 @@ use tempfile::tempdir;
 use crate::{
     command::{at, done, json, number, refused, run},
     files::{names_in, picture, tree},
+    gpu::can_draw,
 };
 
 /// Steps of two blocks, of a bar that is twisted, with a pulse in it.
@@ -254,4 +255,31 @@ fn memory_is_what_was_allowed_or_the_mesh_is_refused() {
         assert!(peak < memory_mib * 1048576.0 + BASE_BYTES, "{peak} bytes");
     }
     refused(folder, &format!("play m.cxl {SMALL} --memory 40MiB"), &["233280 tetrahedra", "raise it"]);
+}
+
+#[test]
+fn a_gpu_draws_the_same() {
+    let folder = tempdir().unwrap();
+    let folder = folder.path();
+    done(folder, "encode 'sim:plume?dims=8&steps=1' -o run.cxl -q");
+    if !can_draw(folder) {
+        return;
+    }
+    store_in(folder, "cells");
+    for more in ["-t 66 --lod 0.3", "--time 0.3 --blend-steps"] {
+        let draw = |backend: &str| {
+            let line = format!("render m.cxl {SMALL} {more} -o {backend}.png");
+            json(folder, &line.replace("--backend cpu", &format!("--backend {backend}")))
+        };
+        let (cpu, gpu) = (draw("cpu"), draw("gpu"));
+        assert_eq!((at(&gpu, "backend"), at(&cpu, "backend")), (&"gpu".into(), &"cpu".into()));
+        assert_eq!(at(&gpu, "cells.faces_chosen"), at(&cpu, "cells.faces_chosen"));
+        assert_eq!(number(&gpu, "cells.misordered"), 0.0);
+        let distance = number(&json(folder, "compare cpu.png gpu.png"), "luv_mean");
+        assert!(distance < 0.05, "{more}: {distance}");
+    }
+    let line = format!("play m.cxl {SMALL} --steps 62:67").replace("--backend cpu", "--backend gpu");
+    let report = json(folder, &line);
+    assert_eq!((number(&report, "frames"), number(&report, "cells.misordered")), (5.0, 0.0));
+    assert!(number(&report, "bytes_uploaded") > 0.0 && number(&report, "gpu_bytes_peak") > 0.0);
 }

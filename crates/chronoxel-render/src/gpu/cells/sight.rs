@@ -297,15 +297,9 @@ impl Sight {
         self.cpu_order.take_if(|(of, _)| *of != depends_on);
         let chosen = self.chosen.as_ref().map(|(faces, _)| faces);
         let (_, order) = self.cpu_order.get_or_insert_with(|| {
-            let all: Vec<u32>;
-            let faces = match chosen {
-                Some(faces) => faces,
-                None => {
-                    all = (0..mesh.num_faces() as u32).collect();
-                    &all
-                }
-            };
-            (depends_on, visibility::order(mesh, camera, faces))
+            let all = visibility::order(mesh, camera);
+            let order = chosen.map(|faces| visibility::only(&all, faces));
+            (depends_on, order.unwrap_or(all))
         });
         order
     }
