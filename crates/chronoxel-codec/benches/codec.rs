@@ -3,8 +3,8 @@
 use std::hint::black_box;
 
 use chronoxel_codec::{
-    CellCodecOptions, Indices, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident, decoded_range,
-    encode_cells, product_palette, vector_palette,
+    CellCodecOptions, Indices, OneWorker, Payload, Stage, Table, UnitWindow, decode_f64, decode_resident,
+    decoded_range, encode_cells, product_palette, vector_palette,
     vq::{Entries, InstructionSet, Vectors, nearest_with},
 };
 use chronoxel_core::BrickLayout;
@@ -120,9 +120,9 @@ fn cells(criterion: &mut Criterion) {
     group.throughput(Throughput::Elements(64 * 40_960));
     let options = CellCodecOptions::default();
     group.bench_function("encode 64 steps, 256 entries", |b| {
-        b.iter(|| encode_cells(black_box(&steps), &options));
+        b.iter(|| encode_cells(black_box(&steps), &options, &OneWorker));
     });
-    let spans = encode_cells(&steps, &options).expect("valid steps");
+    let spans = encode_cells(&steps, &options, &OneWorker).expect("valid steps");
     let mut values = vec![0.0; 40_960];
     group.throughput(Throughput::Elements(40_960));
     group.bench_function("decode a step", |b| {

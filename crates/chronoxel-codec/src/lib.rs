@@ -19,6 +19,7 @@ pub mod quantize;
 pub mod rate;
 pub mod vq;
 pub mod window;
+pub mod workers;
 
 pub use allocation::{allocate_bits, expected_distortion};
 pub use bytes::{point_stage_from_bytes, point_stage_to_bytes, stage_from_bytes, stage_to_bytes};
@@ -39,3 +40,4 @@ pub use rate::{
 };
 pub use vq::{VectorTable, vector_palette};
 pub use window::{Palette, UnitWindow, code_stages};
+pub use workers::{OneWorker, Workers};

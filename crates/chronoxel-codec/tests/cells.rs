@@ -1,7 +1,7 @@
 //! Values at the points of a mesh through time.
 
 use chronoxel_codec::{
-    CellCodecOptions, CellSpan, decode_samples, encode_cells, paper_ratio, point_stage_from_bytes,
+    CellCodecOptions, CellSpan, OneWorker, decode_samples, encode_cells, paper_ratio, point_stage_from_bytes,
     point_stage_to_bytes, span_errors,
 };
 
@@ -48,7 +48,7 @@ fn ratios_are_those_of_the_paper() {
 fn a_field_that_fades_is_as_close_as_the_papers() {
     let steps = fading(40_960, 64);
     let steps = slices(&steps);
-    let spans = encode_cells(&steps, &CellCodecOptions::default()).unwrap();
+    let spans = encode_cells(&steps, &CellCodecOptions::default(), &OneWorker).unwrap();
     assert_eq!(spans.len(), 1);
     let errors = span_errors(&spans[0], &steps).unwrap();
     let range = steps[0].iter().fold(0.0f32, |a, b| a.max(*b));
@@ -69,7 +69,7 @@ fn there_is_one_decoder_and_bytes_come_back() {
     let steps = waves(5000, 100);
     let steps = slices(&steps);
     for entries in [256, 300] {
-        let spans = encode_cells(&steps, &CellCodecOptions { entries, max_error: None }).unwrap();
+        let spans = encode_cells(&steps, &CellCodecOptions { entries, max_error: None }, &OneWorker).unwrap();
         assert_eq!(spans.iter().map(|s| (s.start, s.num_steps)).collect::<Vec<_>>(), [(0, 64), (64, 36)]);
         for span in &spans {
             let classes: Vec<_> = span.payload.stages.iter().map(|stage| stage.class()).collect();
@@ -108,7 +108,7 @@ fn bounds_hold_for_what_is_decoded() {
     let steps = slices(&steps);
     for bound in [0.3, 0.02, 1e-6] {
         let options = CellCodecOptions { entries: 64, max_error: Some(bound) };
-        let spans = encode_cells(&steps, &options).unwrap();
+        let spans = encode_cells(&steps, &options, &OneWorker).unwrap();
         let mut next = 0;
         let mut values = vec![0.0; 1200];
         for span in &spans {
@@ -128,28 +128,98 @@ fn bounds_hold_for_what_is_decoded() {
             spans.iter().map(CellSpan::num_bytes).sum::<usize>()
         );
     }
-    assert!(encode_cells(&steps, &CellCodecOptions { entries: 64, max_error: Some(1e-30) }).is_err());
+    assert!(
+        encode_cells(&steps, &CellCodecOptions { entries: 64, max_error: Some(1e-30) }, &OneWorker).is_err()
+    );
 }
 
 #[test]
 fn constants_single_steps_and_few_points_are_exact() {
-    let constant = vec![vec![7.25f32; 50]; 64];
-    let span = &encode_cells(&slices(&constant), &CellCodecOptions::default()).unwrap()[0];
-    let errors = span_errors(span, &slices(&constant)).unwrap();
-    assert_eq!((errors.max_error, errors.snr_db), (0.0, f64::INFINITY));
+    for num_points in [50, 5000] {
+        let constant = vec![vec![7.25f32; num_points]; 64];
+        let constant = slices(&constant);
+        for span in encode_cells(&constant, &CellCodecOptions::default(), &OneWorker).unwrap() {
+            let errors = span_errors(&span, &steps_of(&span, &constant)).unwrap();
+            assert_eq!((errors.max_error, errors.snr_db), (0.0, f64::INFINITY));
+        }
+    }
     let one = vec![(0..50).map(|i| i as f32).collect::<Vec<f32>>()];
-    let span = &encode_cells(&slices(&one), &CellCodecOptions::default()).unwrap()[0];
+    let span = &encode_cells(&slices(&one), &CellCodecOptions::default(), &OneWorker).unwrap()[0];
     assert!(span_errors(span, &slices(&one)).unwrap().max_error < 49.0 / 65535.0);
 }
 
 #[test]
 fn what_cannot_be_coded_is_refused() {
     let options = CellCodecOptions::default();
-    assert!(encode_cells(&[], &options).is_err());
-    assert!(encode_cells(&[&[]], &options).is_err());
-    assert!(encode_cells(&[&[1.0], &[1.0, 2.0]], &options).is_err());
-    let error = encode_cells(&[&[1.0], &[f32::NAN]], &options).unwrap_err().to_string();
-    assert!(error.starts_with("step with a value that is not finite is 1:"), "{error}");
-    assert!(encode_cells(&[&[1.0]], &CellCodecOptions { entries: 1, ..options }).is_err());
-    assert!(encode_cells(&[&[1.0]], &CellCodecOptions { max_error: Some(-1.0), ..options }).is_err());
+    assert!(encode_cells(&[], &options, &OneWorker).is_err());
+    assert!(encode_cells(&[&[]], &options, &OneWorker).is_err());
+    assert!(encode_cells(&[&[1.0], &[1.0, 2.0]], &options, &OneWorker).is_err());
+    let error = encode_cells(&[&[1.0], &[f32::INFINITY]], &options, &OneWorker).unwrap_err().to_string();
+    assert!(error.starts_with("step with an infinite value is 1:"), "{error}");
+    assert!(encode_cells(&[&[1.0]], &CellCodecOptions { entries: 1, ..options }, &OneWorker).is_err());
+    assert!(
+        encode_cells(&[&[1.0]], &CellCodecOptions { max_error: Some(-1.0), ..options }, &OneWorker).is_err()
+    );
+}
+
+#[test]
+fn missing_values_are_masked_and_split_spans_where_they_change() {
+    let mut steps = waves(3000, 64);
+    // A hole that stays, and one point that is there from step 20 on; step 40 has no value at all.
+    for (t, step) in steps.iter_mut().enumerate() {
+        step[..7].fill(f32::NAN);
+        step[100] = if t < 20 { f32::NAN } else { 1e6 };
+        if t == 40 {
+            step.fill(f32::NAN);
+        }
+    }
+    let steps = slices(&steps);
+    for max_error in [None, Some(0.05)] {
+        let options = CellCodecOptions { entries: 64, max_error };
+        let spans = encode_cells(&steps, &options, &OneWorker).unwrap();
+        let mut next = 0;
+        let mut values = vec![0.0; 3000];
+        for span in &spans {
+            assert_eq!((span.start, span.start % span.window, span.num_steps), (next, 0, span.window));
+            next += span.num_steps;
+            let missing = span.missing.as_ref().unwrap();
+            for (step, source) in steps.iter().enumerate().take(next).skip(span.start) {
+                span.decode(step, &mut values).unwrap();
+                for (point, (&found, &value)) in values.iter().zip(*source).enumerate() {
+                    assert_eq!(missing.get(point), value.is_nan());
+                    let error = f64::from((found - value).abs());
+                    assert!(value.is_nan() || error <= max_error.unwrap_or(30.0), "{error} at {step}");
+                }
+            }
+        }
+        assert_eq!(next, 64);
+        let starts: Vec<usize> = spans.iter().map(|span| span.start).collect();
+        assert!([0, 16, 20, 24, 32, 40, 41].iter().all(|start| starts.contains(start)), "{starts:?}");
+    }
+}
+
+#[test]
+fn few_points_and_tight_bounds_never_cost_more_than_the_values() {
+    for num_points in [1, 2, 40, 200, 3000] {
+        let steps = waves(num_points, 70);
+        let steps = slices(&steps);
+        for max_error in [None, Some(0.3), Some(1e-3), Some(1e-6)] {
+            let options = CellCodecOptions { entries: 1024, max_error };
+            let spans = encode_cells(&steps, &options, &OneWorker).unwrap();
+            let num_bytes: usize = spans.iter().map(CellSpan::num_bytes).sum();
+            assert!(num_bytes <= 70 * (4 * num_points + 32), "{num_points}, {max_error:?}: {num_bytes}");
+        }
+    }
+}
+
+#[test]
+fn whole_numbers_are_exact_at_no_error() {
+    let steps: Vec<Vec<f32>> =
+        (0..9).map(|t| (0..500).map(|p| ((p * (t + 3)) % 251) as f32).collect()).collect();
+    let steps = slices(&steps);
+    let options = CellCodecOptions { entries: 256, max_error: Some(0.0) };
+    for span in encode_cells(&steps, &options, &OneWorker).unwrap() {
+        assert_eq!(span_errors(&span, &steps_of(&span, &steps)).unwrap().max_error, 0.0);
+        assert!(span.num_bytes() <= 520 * span.num_steps);
+    }
 }

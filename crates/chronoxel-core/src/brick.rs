@@ -66,6 +66,11 @@ impl BitMask {
     pub fn get(&self, index: usize) -> bool {
         self.bytes[index / 8] >> (index % 8) & 1 != 0
     }
+
+    /// Number of masked samples.
+    pub fn num_set(&self) -> usize {
+        self.bytes.iter().map(|byte| byte.count_ones() as usize).sum()
+    }
 }
 
 /// A brick of one time step, ready to be drawn: 16-bit samples within the brick's own range.

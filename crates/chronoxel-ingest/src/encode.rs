@@ -9,6 +9,7 @@
 
 mod analyse;
 mod budget;
+mod cells;
 mod choose;
 mod coding;
 mod cut;
@@ -37,10 +38,12 @@ use std::path::Path;
 use std::time::Instant;
 
 use chronoxel_core::{BrickLayout, SampleType, octree::levels_of};
-use chronoxel_store::{StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
+use chronoxel_store::{Store, StoreDescription, StoreWriter, TimeTreeEntry, VariableDescription};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+pub(crate) use cells::same_geometry;
+pub use cells::{CellOptions, CellReport, encode_cells};
 pub use options::{Codec, EncodeOptions, EncodeReport, Progress};
 
 use crate::voxelise::{Room, VoxelOptions, Voxels};
@@ -141,14 +144,15 @@ fn encode_source(
 ) -> Result<EncodeReport, EncodeError> {
     let started = Instant::now();
     let job = Job::new(&source, options)?;
-    let (place, mut writer, first) = Output::open(output, &job.description, options)?;
+    let (place, mut writer, first) = Output::open::<StoreWriter>(output, &job.description, options)?;
     let mut report = EncodeReport { raw_bytes: job.raw_bytes(), ..EncodeReport::default() };
     let folder = output.parent().unwrap_or(Path::new("."));
     match job.run(&mut source, &mut writer, first, folder, &mut report, progress) {
         Ok(()) => writer.finish()?,
         Err(error) => return Err(place.abandon(writer, error)),
     };
-    report.stored_bytes = place.keep()?;
+    place.keep()?;
+    report.stored_bytes = Store::open(output)?.stored_bytes()?;
     report.wall_secs = started.elapsed().as_secs_f64();
     Ok(report)
 }

@@ -98,6 +98,28 @@ pub enum EncodeError {
         /// How many of them the source needs, besides the slices that it hands over.
         source_bytes: u64,
     },
+    /// A mesh, or a block of its steps, does not fit.
+    #[error("--memory {given} bytes: {what} needs {needed} bytes ({} MiB): raise it, or use --as bricks", needed.div_ceil(1 << 20))]
+    CellMemory {
+        /// Bytes allowed.
+        given: u64,
+        /// Bytes needed.
+        needed: u64,
+        /// For what.
+        what: String,
+    },
+    /// A block of steps of a mesh that cannot be coded.
+    #[error("variable {variable}, steps {start} to {}: {source}", start + num_steps - 1)]
+    Block {
+        /// The variable.
+        variable: String,
+        /// The first step.
+        start: usize,
+        /// Steps.
+        num_steps: usize,
+        /// Why.
+        source: Box<CodecError>,
+    },
     /// 16 bits cannot hold the error bound.
     #[error(
         "--max-error {max_error}: variable {variable}, step {step}, brick ({}, {}, {}): 16 bits leave an error of {error:e} and {bound:e} is allowed: raise it, or give a wider --range",

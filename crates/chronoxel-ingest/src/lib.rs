@@ -12,9 +12,13 @@ pub mod sources;
 pub mod voxelise;
 
 pub use decode::{StepDecoder, decode_step};
-pub use encode::{Codec, EncodeOptions, EncodeReport, Progress, encode, encode_mesh};
+pub use encode::{
+    CellOptions, CellReport, Codec, EncodeOptions, EncodeReport, Progress, encode, encode_cells, encode_mesh,
+};
 pub use error::{EncodeError, SourceError};
-pub use measure::{Measurement, VariableErrors, measure, measure_mesh};
+pub use measure::{
+    CellErrors, CellMeasurement, Measurement, VariableErrors, measure, measure_cells, measure_mesh,
+};
 pub use mesh::{GridType, MeshCensus, MeshSeries, Opened};
 pub use series::{StepReader, TimeSeries, Variable};
 pub use voxelise::{VoxelOptions, VoxelReport};

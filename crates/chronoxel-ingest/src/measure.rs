@@ -1,5 +1,7 @@
 //! The error of a store against its source: step by step, brick by brick, in bounded memory.
 
+mod cells;
+
 use chronoxel_core::{LevelGeometry, Samples, TimeAxis};
 use chronoxel_store::{Header, Store, StoreError, VariableEntry};
 use rayon::prelude::*;
@@ -10,6 +12,8 @@ use crate::encode::stream::{Layer, StreamPlan, stream};
 use crate::encode::voxelised;
 use crate::voxelise::{MeshStep, VoxelOptions, Voxels};
 use crate::{EncodeError, MeshSeries, TimeSeries, Variable};
+
+pub use cells::{CellErrors, CellMeasurement, measure_cells};
 
 /// Errors of one variable on values scaled to [0, 1] by its range in the store.
 #[derive(Debug, Clone, PartialEq)]
@@ -302,9 +306,13 @@ fn compare_layer<T: Real>(
     Ok(())
 }
 
-/// What scales differences to the range of a variable.
 fn per_range(entry: &VariableEntry) -> f64 {
-    let [low, high] = [entry.min.unwrap_or(0.0), entry.max.unwrap_or(0.0)];
+    per_width(entry.min, entry.max)
+}
+
+/// What scales differences to the range of a variable.
+fn per_width(min: Option<f64>, max: Option<f64>) -> f64 {
+    let [low, high] = [min.unwrap_or(0.0), max.unwrap_or(0.0)];
     let width = 2.0 * (0.5 * high - 0.5 * low);
     if width > 0.0 { 1.0 / width } else { 1.0 }
 }

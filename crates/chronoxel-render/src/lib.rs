@@ -16,15 +16,16 @@ pub mod slices;
 
 pub use borders::{LevelBorders, filter_level_borders};
 pub use cells::{
-    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, Variation, render_cells_reference,
-    static_importance,
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, FaceChoice, FaceOrder, Variation,
+    render_cells_reference, static_importance,
 };
 pub use cpu::{CpuOptions, Frame, PartialImage, kernel_name, render, render_with};
 pub use error::RenderError;
 #[cfg(feature = "gpu")]
 pub use gpu::{
-    CodedBrick, GpuBrick, GpuError, GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats,
-    Interpolation, LaterStep, Method, ReadBack, Way,
+    CellWay, CodedBrick, GpuBrick, GpuCellOptions, GpuCellRenderer, GpuCellStats, GpuCellValues, GpuError,
+    GpuHow, GpuInfo, GpuOptions, GpuPicture, GpuRenderer, GpuStats, Interpolation, LaterStep, Method,
+    ReadBack, Way,
 };
 pub use prepared::PreparedBrick;
 pub use reference::{DenseField, render_reference, render_reference_with};

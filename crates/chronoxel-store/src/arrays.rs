@@ -309,7 +309,7 @@ pub(crate) fn number_zstd_level(num_bytes: usize) -> i32 {
     if num_bytes <= SMALL_BYTES { SMALL_ZSTD_LEVEL } else { LARGE_ZSTD_LEVEL }
 }
 
-fn zstd(level: i32) -> Value {
+pub(crate) fn zstd(level: i32) -> Value {
     json!({ "configuration": { "checksum": false, "level": level }, "name": "zstd" })
 }
 
@@ -323,7 +323,7 @@ fn nodes_array(num_nodes: usize) -> Value {
 }
 
 // Keys are in alphabetical order, so that the text does not depend on how maps are ordered.
-fn array(
+pub(crate) fn array(
     attributes: Value,
     chunk_shape: Value,
     codecs: Value,
@@ -346,14 +346,14 @@ fn array(
     })
 }
 
-fn group() -> Value {
+pub(crate) fn group() -> Value {
     json!({ "attributes": {}, "node_type": "group", "zarr_format": 3 })
 }
 
-fn little_endian() -> Value {
+pub(crate) fn little_endian() -> Value {
     json!({ "configuration": { "endian": "little" }, "name": "bytes" })
 }
 
-fn crc32c() -> Value {
+pub(crate) fn crc32c() -> Value {
     json!({ "name": "crc32c" })
 }

@@ -4,6 +4,9 @@ use std::cell::RefCell;
 
 use zstd::bulk::{Compressor, Decompressor};
 
+/// Bytes that a stored byte can stand for: a block of 128 KiB takes at least four.
+const MOST_RATIO: usize = 1 << 15;
+
 thread_local! {
     static COMPRESSOR: RefCell<Option<(i32, Compressor<'static>)>> = const { RefCell::new(None) };
     static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
@@ -70,6 +73,9 @@ pub(crate) fn decode(stored: &[u8], num_bytes: usize) -> Result<Vec<u8>, String>
         return Err(format!(
             "the checksum is {computed:08x} where {stated:08x} is stored: bytes are damaged"
         ));
+    }
+    if num_bytes / MOST_RATIO > stored.len() {
+        return Err(format!("{} stored bytes cannot hold {num_bytes}", stored.len()));
     }
     DECOMPRESSOR.with_borrow_mut(|slot| {
         let decompressor = match slot {

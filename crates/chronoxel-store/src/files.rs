@@ -118,6 +118,15 @@ pub(crate) struct Listing {
     pub empty_folders: Vec<PathBuf>,
 }
 
+impl Listing {
+    /// What does not lie in a folder.
+    pub fn without(mut self, folder: &Path) -> Self {
+        self.files.retain(|(path, _)| !path.starts_with(folder));
+        self.empty_folders.retain(|path| !path.starts_with(folder));
+        self
+    }
+}
+
 /// Everything below a folder.
 pub(crate) fn list(root: &Path) -> Result<Listing, StoreError> {
     let (mut listing, mut folders) = (Listing::default(), vec![root.to_owned()]);

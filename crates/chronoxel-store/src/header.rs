@@ -7,18 +7,22 @@ use chronoxel_core::{
     BrickLayout, LevelGeometry, Octree, SampleType, TimeAxis, UniformGrid, octree::levels_of,
 };
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use crate::{StoreError, layout};
+use crate::{StoreError, header_text, layout};
 
 /// The version of the format that is written, and the only one that is read.
 pub const FORMAT_VERSION: u32 = 1;
 
+/// The attribute of the group that holds the header.
+pub(crate) const ATTRIBUTE: &str = "chronoxel";
 /// Most bytes of a header: about ten million time steps.
 pub(crate) const MAX_BYTES: u64 = 1 << 28;
-const MAX_VARIABLES: usize = 1024;
+pub(crate) const MAX_VARIABLES: usize = 1024;
 const MAX_WINDOWS: usize = 16;
 const MAX_CLASSES: usize = 64;
+/// Names that are not those of variables.
+const TAKEN: [&str; 2] = ["nodes", "zarr.json"];
 
 /// A variable to be written.
 #[derive(Debug, Clone, PartialEq)]
@@ -131,7 +135,7 @@ pub struct MeshEntry {
 }
 
 /// The longest side of a mesh over the default unit of opacity: as of a volume of so many samples.
-const MESH_UNITS: f64 = 128.0;
+pub(crate) const MESH_UNITS: f64 = 128.0;
 
 impl TimeTreeEntry {
     /// Of a grid: the smallest stride with which at most 2^20 samples take part in the temporal error, 4 where none is.
@@ -159,7 +163,7 @@ pub struct VariableEntry {
     /// Type of the source's samples.
     pub sample_type: SampleType,
     /// The source's "no data" value.
-    #[serde(with = "json_number")]
+    #[serde(with = "header_text::json_number")]
     pub fill_value: Option<f64>,
     /// Smallest source sample of the committed steps, `None` before the first.
     pub min: Option<f64>,
@@ -255,7 +259,7 @@ impl Header {
         for (index, variable) in variables.iter().enumerate() {
             let earlier = entries.iter().map(|v| v.folder.as_str());
             entries.push(VariableEntry {
-                folder: layout::variable_folder(index, &variable.name, earlier),
+                folder: layout::variable_folder(index, &variable.name, &TAKEN, earlier),
                 name: variable.name.clone(),
                 units: variable.units.clone(),
                 sample_type: variable.sample_type,
@@ -357,7 +361,7 @@ impl Header {
             return problem("variable name", &variable.name, "names must differ and not be empty");
         }
         let folder =
-            layout::variable_folder(index, &variable.name, earlier.iter().map(|v| v.folder.as_str()));
+            layout::variable_folder(index, &variable.name, &TAKEN, earlier.iter().map(|v| v.folder.as_str()));
         if folder != variable.folder {
             return problem("folder", &variable.folder, "it follows from the name");
         }
@@ -391,110 +395,17 @@ impl Header {
         None
     }
 
-    /// The text of the group's `zarr.json`: a line for each field of the header. Its last field is the CRC-32C of the text itself with
-    /// that field's digits as zeros.
+    /// The text of the group's `zarr.json`.
     pub(crate) fn to_text(&self) -> Result<String, StoreError> {
-        let failed = |e: serde_json::Error| StoreError::invalid("header", e, "it must be plain JSON");
-        let mut chronoxel = serde_json::to_value(self).map_err(failed)?;
-        chronoxel[CRC_FIELD] = json!(CRC_BLANK);
-        let fields = chronoxel.as_object().into_iter().flatten();
-        let lines: Vec<String> = fields.map(|(name, value)| format!("  {name:?}: {value}")).collect();
-        let mut text = format!(
-            "{{\"zarr_format\": 3, \"node_type\": \"group\", \"attributes\": {{\"chronoxel\": {{\n{}\n}}}}}}\n",
-            lines.join(",\n")
-        );
-        let at =
-            crc_position(&text).ok_or_else(|| StoreError::invalid("header", "", "it has no checksum"))?;
-        let crc = format!("{:08x}", crc32c::crc32c(text.as_bytes()));
-        text.replace_range(at..at + CRC_BLANK.len(), &crc);
-        Ok(text)
+        header_text::to_text(ATTRIBUTE, self)
     }
 
     /// The header from the text of `zarr.json`, checked in itself.
     pub(crate) fn from_text(path: &Path, text: &str) -> Result<Self, StoreError> {
-        let corrupt =
-            |field: &str, value: String, problem: &str| StoreError::corrupt(path, field, value, problem);
-        let document: Value = serde_json::from_str(text)
-            .map_err(|e| corrupt("JSON", e.to_string(), "this is not the header of a Zarr group"))?;
-        let Some(fields) = document.pointer("/attributes/chronoxel") else {
-            return Err(corrupt("attributes.chronoxel", "absent".into(), "this is not a Chronoxel store"));
-        };
-        let version = fields.get("version").and_then(Value::as_u64);
-        if version != Some(u64::from(FORMAT_VERSION)) {
-            return Err(StoreError::Unsupported {
-                path: path.to_owned(),
-                field: "version",
-                value: version.map_or("absent".into(), |v| v.to_string()),
-                remedy: "this program reads version 1",
-            });
-        }
-        check_crc(path, text)?;
-        let mut fields = fields.clone();
-        fields.as_object_mut().map(|object| object.remove(CRC_FIELD));
-        let header: Self = serde_json::from_value(fields)
-            .map_err(|e| corrupt("attributes.chronoxel", e.to_string(), "see the format"))?;
+        let header: Self = header_text::from_text(path, text, ATTRIBUTE, FORMAT_VERSION)?;
         match header.problem() {
             None => Ok(header),
             Some((field, value, problem)) => Err(StoreError::corrupt(path, field, value, problem)),
-        }
-    }
-}
-
-const CRC_FIELD: &str = "z_crc32c";
-const CRC_BLANK: &str = "00000000";
-
-fn crc_position(text: &str) -> Option<usize> {
-    let key = format!("\"{CRC_FIELD}\": \"");
-    let at = text.rfind(&key)? + key.len();
-    let digits = text.get(at..at + CRC_BLANK.len())?;
-    digits.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f')).then_some(at)
-}
-
-fn check_crc(path: &Path, text: &str) -> Result<(), StoreError> {
-    let Some(at) = crc_position(text) else {
-        return Err(StoreError::corrupt(path, CRC_FIELD, "absent", "the header has no checksum"));
-    };
-    let stored = &text[at..at + CRC_BLANK.len()];
-    let blank = [&text[..at], CRC_BLANK, &text[at + CRC_BLANK.len()..]].concat();
-    let computed = format!("{:08x}", crc32c::crc32c(blank.as_bytes()));
-    if stored != computed {
-        let problem = format!("the checksum of the header is {computed}: the file is damaged");
-        return Err(StoreError::corrupt(path, CRC_FIELD, stored, problem));
-    }
-    Ok(())
-}
-
-/// JSON has no NaN and no infinities: they are written as Zarr writes them, as strings.
-mod json_number {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    #[derive(Serialize, Deserialize)]
-    #[serde(untagged)]
-    enum Number {
-        Finite(f64),
-        Named(String),
-    }
-
-    pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
-        let number = value.map(|v| match v {
-            v if v.is_nan() => Number::Named("NaN".into()),
-            f64::INFINITY => Number::Named("Infinity".into()),
-            f64::NEG_INFINITY => Number::Named("-Infinity".into()),
-            v => Number::Finite(v),
-        });
-        number.serialize(serializer)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-        match Option::<Number>::deserialize(deserializer)? {
-            None => Ok(None),
-            Some(Number::Finite(v)) => Ok(Some(v)),
-            Some(Number::Named(name)) => match name.as_str() {
-                "NaN" => Ok(Some(f64::NAN)),
-                "Infinity" => Ok(Some(f64::INFINITY)),
-                "-Infinity" => Ok(Some(f64::NEG_INFINITY)),
-                _ => Err(D::Error::custom(format!("{name:?} is not a number"))),
-            },
         }
     }
 }

@@ -37,11 +37,20 @@ pub(crate) fn shard_of(name: &str) -> Option<u32> {
     digits.parse::<u32>().ok().filter(|shard| shard.to_string() == digits)
 }
 
+/// The number of the block of steps in a file of this name: `c.{block}.0`.
+pub(crate) fn block_of(name: &str) -> Option<u32> {
+    let digits = name.strip_prefix("c.")?.strip_suffix(".0")?;
+    digits.parse::<u32>().ok().filter(|block| block.to_string() == digits)
+}
+
 /// Folder of a variable: its name where that is a safe file name on every system and no earlier
 /// variable has it, else `variable-{index}`.
+///
+/// * `taken`: names of the store's own, in lower case
 pub(crate) fn variable_folder<'a>(
     index: usize,
     name: &str,
+    taken: &[&str],
     mut earlier: impl Iterator<Item = &'a str>,
 ) -> String {
     let safe = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
@@ -50,7 +59,7 @@ pub(crate) fn variable_folder<'a>(
         && name.chars().all(safe)
         && name.starts_with(first)
         && !name.ends_with('.')
-        && !["nodes", "zarr.json"].iter().any(|taken| name.eq_ignore_ascii_case(taken))
+        && !taken.iter().any(|taken| name.eq_ignore_ascii_case(taken))
         && !name.to_ascii_lowercase().starts_with("variable-");
     match sound && !earlier.any(|other| other.eq_ignore_ascii_case(name)) {
         true => name.to_owned(),
@@ -90,7 +99,9 @@ mod tests {
 
     #[test]
     fn odd_names_get_plain_folders() {
-        let folder = |name, earlier: &[&'static str]| variable_folder(3, name, earlier.iter().copied());
+        let folder = |name, earlier: &[&'static str]| {
+            variable_folder(3, name, &["nodes", "zarr.json"], earlier.iter().copied())
+        };
         assert_eq!(folder("rho_2.5", &[]), "rho_2.5");
         for name in ["", "a/b", "..", "nodes", "NODES", "température", "variable-7", ".x", "a."] {
             assert_eq!(folder(name, &[]), "variable-3", "{name}");

@@ -9,12 +9,14 @@
 
 mod arrays;
 mod cache;
+pub mod cells;
 pub mod chunk;
 mod commit;
 pub mod digest;
 pub mod error;
 mod files;
 pub mod header;
+mod header_text;
 mod journal;
 mod kept;
 pub mod layout;
@@ -32,6 +34,10 @@ mod verify_shard;
 mod verify_statistics;
 pub mod writer;
 
+pub use cells::{
+    CellClass, CellDescription, CellGeometry, CellHeader, CellPayload, CellSpanRecord, CellSpanWrite,
+    CellStore, CellStoreWriter, CellTotals, CellVariable, CellVariableDescription, verify_cells,
+};
 pub use chunk::stored_len;
 pub use error::StoreError;
 pub use header::{

@@ -19,6 +19,7 @@ use crate::{
     StoreError,
     arrays::{ArrayId, ArrayKind, ShardId, SpanChunkId},
     cache::ByteCache,
+    cells::{self, NESTED_FOLDER},
     files,
     header::{Header, MAX_BYTES},
     layout,
@@ -126,12 +127,13 @@ impl Store {
         self.bytes_read.fetch_add(num_bytes, Ordering::Relaxed);
     }
 
-    /// Bytes of all files of the store.
+    /// Bytes of all files of the store, but for those of a store of cells within it.
     ///
     /// # Errors
     /// [`StoreError::Io`] if a folder cannot be listed.
     pub fn stored_bytes(&self) -> Result<u64, StoreError> {
-        Ok(files::list(&self.root)?.files.iter().map(|(_, len)| len).sum())
+        let listed = files::list(&self.root)?.without(&self.root.join(NESTED_FOLDER));
+        Ok(listed.files.iter().map(|(_, len)| len).sum())
     }
 
     /// The span of every node of a level that holds a step, in node order.
@@ -538,6 +540,11 @@ pub(crate) fn read_header(root: &Path) -> Result<Header, StoreError> {
         return Err(StoreError::corrupt(root, "path", "a file", problem));
     }
     let problem = "this is not a Chronoxel store, or its making was interrupted";
+    if cells::is_cell_store(root)? {
+        let problem =
+            "it has no bricks: use --method cells, or encode its source with --as bricks or --as both";
+        return Err(StoreError::corrupt(&root.join("zarr.json"), "store", "of cells", problem));
+    }
     find_header(root)?.ok_or_else(|| StoreError::corrupt(&root.join("zarr.json"), "file", "absent", problem))
 }
 

@@ -11,6 +11,7 @@ use chronoxel_core::TimeNode;
 use crate::{
     Header, Store, StoreError,
     arrays::{Child, SpanChunkId},
+    cells::NESTED_FOLDER,
     files,
     header::Totals,
     journal, layout,
@@ -170,6 +171,8 @@ fn check_files(store: &Store, report: &mut VerifyReport, counted: &mut Counted) 
         (Ok(listed), Ok(children)) => (listed, children),
         (Err(error), _) | (_, Err(error)) => return report.add(error),
     };
+    // A store of cells is verified by itself.
+    let listed = listed.without(&root.join(NESTED_FOLDER));
     let unexpected = |path: &Path, what: &'static str| {
         StoreError::corrupt(path, what, "unexpected", "it is no part of the store: remove it")
     };
@@ -235,7 +238,7 @@ fn is_data_file(folders: &HashMap<String, u32>, relative: &str) -> bool {
     shard.zip(folders.get(folder)).is_some_and(|(shard, num_shards)| shard < *num_shards)
 }
 
-fn relative_name(root: &Path, path: &Path) -> String {
+pub(crate) fn relative_name(root: &Path, path: &Path) -> String {
     let relative = path.strip_prefix(root).unwrap_or(path);
     let parts: Vec<_> = relative.components().map(|c| c.as_os_str().to_string_lossy()).collect();
     parts.join("/")

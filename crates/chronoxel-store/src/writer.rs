@@ -18,9 +18,10 @@ use crate::{
     SpanWrite, StoreDescription, StoreError, Totals,
     arrays::{ArrayKind, SpanChunkId},
     cache::ByteCache,
+    cells,
     digest::{DigestEntry, DigestTable, MAX_DIGESTS},
     files,
-    header::Header,
+    header::{self, Header},
     journal,
     kept::KeptFiles,
     put::Put,
@@ -306,7 +307,7 @@ pub(crate) fn partial_path(root: &Path) -> PathBuf {
 }
 
 /// Removes what is in the way of a new store, if that is allowed.
-fn make_room(path: &Path, overwrite: bool) -> Result<(), StoreError> {
+pub(crate) fn make_room(path: &Path, overwrite: bool) -> Result<(), StoreError> {
     let in_the_way = |what: &str, remedy: &str| {
         Err(StoreError::invalid("output", format!("{}, {what}", path.display()), remedy))
     };
@@ -315,7 +316,9 @@ fn make_room(path: &Path, overwrite: bool) -> Result<(), StoreError> {
     }
     let names = files::names_in(path)?;
     let is_store = names.iter().any(|name| name == journal::FOLDER)
-        || fs::read_to_string(path.join("zarr.json")).is_ok_and(|text| text.contains("\"chronoxel\""));
+        || fs::read_to_string(path.join("zarr.json")).is_ok_and(|text| {
+            [header::ATTRIBUTE, cells::ATTRIBUTE].iter().any(|name| text.contains(&format!("\"{name}\"")))
+        });
     match (names.is_empty(), is_store, overwrite) {
         (true, ..) => Ok(()),
         (false, true, true) => files::remove_folder(path),

@@ -2,7 +2,7 @@
 
 use crate::vq::split::split;
 use crate::vq::{Entries, Nearest, Vectors, nearest};
-use crate::{Indices, Stage, Table};
+use crate::{Indices, Stage, Table, Workers};
 
 /// Points of a part: what one task takes, whatever the number of threads.
 pub const PART_POINTS: usize = 4096;
@@ -13,10 +13,14 @@ const LEAST_TRAINED: usize = 4096;
 /// Most rounds of Lloyd's iteration on those, and rounds on all.
 const TRAINING_ROUNDS: usize = 12;
 const FULL_ROUNDS: usize = 3;
+/// Rounds at the end, each of which moves one of so many entries to where errors are largest.
+const TAIL_ROUNDS: usize = 3;
+const MOVED_OF: usize = 32;
 /// Training stops when a round gains less than this fraction of the cost.
 const LEAST_GAIN: f64 = 2e-3;
 
 /// One vector per point, in parts of [`PART_POINTS`], each `[t, point]`.
+#[derive(Clone)]
 pub(super) struct Parts {
     parts: Vec<Vec<f32>>,
     num_components: usize,
@@ -25,14 +29,16 @@ pub(super) struct Parts {
 
 impl Parts {
     /// The values of some steps.
-    pub fn new(steps: &[&[f32]]) -> Self {
+    pub fn new(steps: &[&[f32]], workers: &impl Workers) -> Self {
         let num_points = steps[0].len();
-        let part = |first: usize| {
+        let part = |first: &usize| {
             let end = num_points.min(first + PART_POINTS);
-            steps.iter().flat_map(|step| step[first..end].iter().copied()).collect()
+            let mut part = Vec::with_capacity(steps.len() * (end - first));
+            steps.iter().for_each(|step| part.extend_from_slice(&step[*first..end]));
+            part
         };
         let firsts: Vec<usize> = (0..num_points).step_by(PART_POINTS).collect();
-        Self { parts: firsts.into_iter().map(part).collect(), num_components: steps.len(), num_points }
+        Self { parts: workers.map(&firsts, part), num_components: steps.len(), num_points }
     }
 
     /// For each point the mean of its first components.
@@ -50,7 +56,7 @@ impl Parts {
     }
 
     /// Vectors of the means of every `num` components; the last may be of fewer.
-    pub fn means_of(&self, num: usize) -> Self {
+    pub fn means_of(&self, num: usize, workers: &impl Workers) -> Self {
         let of_part = |part: &Vec<f32>| {
             let len = part.len() / self.num_components;
             let mut means = Vec::with_capacity(len * self.num_components.div_ceil(num));
@@ -65,16 +71,16 @@ impl Parts {
             means
         };
         Self {
-            parts: self.parts.iter().map(of_part).collect(),
+            parts: workers.map(&self.parts, of_part),
             num_components: self.num_components.div_ceil(num),
             num_points: self.num_points,
         }
     }
 
     /// Takes away what a stage decodes to.
-    pub fn subtract(&mut self, stage: &Stage) {
+    pub fn subtract(&mut self, stage: &Stage, workers: &impl Workers) {
         let num_components = self.num_components;
-        self.parts.iter_mut().enumerate().for_each(|(number, part)| {
+        workers.for_each_mut(&mut self.parts, |number, part| {
             let len = part.len() / num_components;
             let first = number * PART_POINTS;
             for (t, component) in part.chunks_exact_mut(len).enumerate() {
@@ -97,10 +103,10 @@ impl Parts {
     }
 
     /// A stage with a table that is trained on the vectors.
-    pub fn code(&self, num_entries: usize, shift: u8) -> Stage {
-        let mut entries = self.train(num_entries);
+    pub fn code(&self, num_entries: usize, shift: u8, workers: &impl Workers) -> Stage {
+        let mut entries = self.train(num_entries, workers);
         let (offset, scale) = round_to_table(&mut entries.values);
-        let found = self.nearest(&entries);
+        let found = self.nearest(&entries, workers);
         let mut table = vec![0; entries.values.len()];
         for (e, entry) in entries.values.chunks_exact(self.num_components).enumerate() {
             for (t, &value) in entry.iter().enumerate() {
@@ -116,7 +122,7 @@ impl Parts {
         Stage { indices, table, shift }
     }
 
-    fn train(&self, num_entries: usize) -> Entries {
+    fn train(&self, num_entries: usize, workers: &impl Workers) -> Entries {
         let num_chosen = (TRAINED_PER_ENTRY * num_entries).max(LEAST_TRAINED);
         let stride = (self.num_points / num_chosen).max(1);
         let chosen = self.every(stride);
@@ -129,7 +135,7 @@ impl Parts {
         let mut entries = Entries { values: first, prices: vec![0.0; num_entries] };
         let mut last_cost = f64::INFINITY;
         for _ in 0..TRAINING_ROUNDS {
-            let cost = chosen.refine(&mut entries);
+            let cost = chosen.refine(&mut entries, workers);
             let stalled = cost >= last_cost * (1.0 - LEAST_GAIN);
             last_cost = cost;
             if stalled {
@@ -137,9 +143,85 @@ impl Parts {
             }
         }
         for _ in 0..FULL_ROUNDS {
-            self.refine(&mut entries);
+            self.refine(&mut entries, workers);
         }
+        self.reach_far(&mut entries, workers);
         entries
+    }
+
+    /// Lowers the largest error: entries that stand close to others move to the vectors that are farthest from theirs.
+    fn reach_far(&self, entries: &mut Entries, workers: &impl Workers) {
+        let mut found = self.nearest(entries, workers);
+        for _ in 0..TAIL_ROUNDS {
+            let mut moved = Entries { values: entries.values.clone(), prices: entries.prices.clone() };
+            if !self.move_entries(&found, &mut moved) {
+                return;
+            }
+            self.refine(&mut moved, workers);
+            let again = self.nearest(&moved, workers);
+            if largest_cost(&again) >= largest_cost(&found) {
+                return;
+            }
+            (*entries, found) = (moved, again);
+        }
+    }
+
+    /// Merges pairs of entries where that costs least, and puts the ones that are freed on the farthest vectors, one
+    /// of a cell; says whether there were any.
+    fn move_entries(&self, found: &[Nearest], entries: &mut Entries) -> bool {
+        let num_entries = entries.prices.len();
+        let mut counts = vec![0u32; num_entries];
+        let mut farthest = vec![(0.0f32, 0usize); num_entries];
+        let indices = found.iter().flat_map(|part| part.indices.iter().zip(&part.costs));
+        for (point, (&index, &cost)) in indices.enumerate() {
+            let index = usize::from(index);
+            counts[index] += 1;
+            if cost > farthest[index].0 {
+                farthest[index] = (cost, point);
+            }
+        }
+        let mut wide: Vec<usize> =
+            (0..num_entries).filter(|&e| counts[e] > 1 && farthest[e].0 > 0.0).collect();
+        wide.sort_by(|&a, &b| farthest[b].0.total_cmp(&farthest[a].0).then(a.cmp(&b)));
+        wide.truncate(num_entries.div_ceil(MOVED_OF));
+        let mut is_taken = vec![false; num_entries];
+        wide.iter().for_each(|&e| is_taken[e] = true);
+        let mut freed = wide.into_iter();
+        let mut has_moved = false;
+        for (a, b) in self.close_pairs(entries, &counts, &is_taken) {
+            if is_taken[a] || is_taken[b] {
+                continue;
+            }
+            let Some(from) = freed.next() else { break };
+            (is_taken[a], is_taken[b], has_moved) = (true, true, true);
+            let [weight_a, weight_b] =
+                [a, b].map(|e| counts[e] as f32 / (counts[a] + counts[b]).max(1) as f32);
+            for t in 0..self.num_components {
+                let [at_a, at_b] = [a, b].map(|e| e * self.num_components + t);
+                entries.values[at_a] = weight_a * entries.values[at_a] + weight_b * entries.values[at_b];
+                entries.values[at_b] = self.component(farthest[from].1, t);
+            }
+        }
+        has_moved
+    }
+
+    /// For each entry the one after it that it could be merged with at the least squared error (Ward 1963), the cheapest
+    /// pair first.
+    fn close_pairs(&self, entries: &Entries, counts: &[u32], is_taken: &[bool]) -> Vec<(usize, usize)> {
+        let entry = |e: usize| &entries.values[e * self.num_components..(e + 1) * self.num_components];
+        let cost = |a: usize, b: usize| {
+            let squared: f32 = entry(a).iter().zip(entry(b)).map(|(x, y)| (x - y) * (x - y)).sum();
+            let [a, b] = [a, b].map(|e| f64::from(counts[e]));
+            f64::from(squared) * a * b / (a + b).max(1.0)
+        };
+        let free: Vec<usize> = (0..counts.len()).filter(|&e| !is_taken[e]).collect();
+        let cheapest = |(place, &a): (usize, &usize)| {
+            let costs = free[place + 1..].iter().map(|&b| (cost(a, b), b));
+            costs.min_by(|x, y| x.0.total_cmp(&y.0)).map(|(cost, b)| (cost, a, b))
+        };
+        let mut pairs: Vec<(f64, usize, usize)> = free.iter().enumerate().filter_map(cheapest).collect();
+        pairs.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        pairs.into_iter().map(|(_, a, b)| (a, b)).collect()
     }
 
     /// Every `stride`-th vector.
@@ -167,18 +249,18 @@ impl Parts {
         (0..self.num_points).flat_map(vector).collect()
     }
 
-    fn nearest(&self, entries: &Entries) -> Vec<Nearest> {
+    fn nearest(&self, entries: &Entries, workers: &impl Workers) -> Vec<Nearest> {
         let of_part = |part: &Vec<f32>| {
             nearest(Vectors { values: part, len: part.len() / self.num_components }, entries)
         };
-        self.parts.iter().map(of_part).collect()
+        workers.map(&self.parts, of_part)
     }
 
     /// One round of Lloyd's iteration; entries without vectors move to those of largest cost. Returns the cost before.
-    fn refine(&self, entries: &mut Entries) -> f64 {
-        let found = self.nearest(entries);
+    fn refine(&self, entries: &mut Entries, workers: &impl Workers) -> f64 {
+        let found = self.nearest(entries, workers);
         let num_entries = entries.prices.len();
-        let of_part = |(part, found): (&Vec<f32>, &Nearest)| {
+        let of_part = |(part, found): &(&Vec<f32>, &Nearest)| {
             let mut sums = vec![0.0f64; entries.values.len()];
             let mut counts = vec![0u32; num_entries];
             found.indices.iter().for_each(|&index| counts[usize::from(index)] += 1);
@@ -189,7 +271,8 @@ impl Parts {
             }
             (sums, counts)
         };
-        let of_parts: Vec<_> = self.parts.iter().zip(&found).map(of_part).collect();
+        let pairs: Vec<_> = self.parts.iter().zip(&found).collect();
+        let of_parts = workers.map(&pairs, of_part);
         let mut sums = vec![0.0f64; entries.values.len()];
         let mut counts = vec![0u32; num_entries];
         for (of_part, count) in &of_parts {
@@ -225,6 +308,10 @@ impl Parts {
             values.iter_mut().enumerate().for_each(|(t, value)| *value = self.component(point, t));
         }
     }
+}
+
+fn largest_cost(found: &[Nearest]) -> f32 {
+    found.iter().flat_map(|part| &part.costs).fold(0.0, |largest, &cost| largest.max(cost))
 }
 
 /// Rounds values to what a table of 16-bit numbers holds, and returns its offset and scale.

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | `.vti` | VTK ImageData of one step, appended raw, with its time |
 //! | `.pvd` | a ParaView collection, its steps as `.vti` in a folder of the same name beside it |
+//! | `.vtu` | of a store of cells ([`CellExport`]): VTK UnstructuredGrid of one step, appended raw; a `.pvd` of several |
 //! | `.npy` | a NumPy array `[z, y, x]` of one step, `[t, z, y, x]` of several |
 //! | `.nrrd` | a raw NRRD, 3-D of one step, 4-D of several |
 //! | `.zarr` | a Zarr v3 group: the variable as `[t, z, y, x]`, and coordinates `t`, `z`, `y`, `x` |
@@ -20,6 +21,7 @@ mod output;
 mod pvd;
 mod sample_bytes;
 mod vti;
+mod vtu;
 mod zarr;
 
 use std::path::Path;
@@ -27,6 +29,7 @@ use std::path::Path;
 use chronoxel_core::{SampleType, TimeAxis, UniformGrid};
 
 pub use error::ExportError;
+pub use vtu::CellExport;
 
 /// What is exported: one variable at some steps.
 #[derive(Debug, Clone, PartialEq)]

@@ -25,10 +25,29 @@ impl PvdWriter {
 
     /// Path of a step's file relative to the collection.
     fn step_path(&self, step: usize) -> PathBuf {
-        let stem = self.folder.path().file_name().unwrap_or_default();
-        let width = self.description.times.num_steps().saturating_sub(1).to_string().len().max(4);
-        Path::new(stem).join(format!("{}_{step:0width$}.vti", stem.to_string_lossy()))
+        step_path(&self.folder, step, self.description.times.num_steps(), "vti")
     }
+}
+
+/// Path of a step's file relative to a collection whose steps lie in `folder`.
+pub(super) fn step_path(folder: &PendingFolder, step: usize, num_steps: usize, extension: &str) -> PathBuf {
+    let stem = folder.path().file_name().unwrap_or_default();
+    let width = num_steps.saturating_sub(1).to_string().len().max(4);
+    Path::new(stem).join(format!("{}_{step:0width$}.{extension}", stem.to_string_lossy()))
+}
+
+/// The text of a collection.
+///
+/// * `path_of`: the file of a step, relative to the collection
+pub(super) fn collection_text(times: &[f64], path_of: impl Fn(usize) -> PathBuf) -> String {
+    let mut text = String::from("<?xml version=\"1.0\"?>\n");
+    text += "<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n  <Collection>\n";
+    for (step, time) in times.iter().enumerate() {
+        let file = escaped(&path_of(step).to_string_lossy());
+        writeln!(text, "    <DataSet timestep=\"{time:?}\" part=\"0\" file=\"{file}\"/>")
+            .expect("writing to a string");
+    }
+    text + "  </Collection>\n</VTKFile>\n"
 }
 
 impl StepWriter for PvdWriter {
@@ -45,14 +64,7 @@ impl StepWriter for PvdWriter {
 
     fn finish(mut self: Box<Self>) -> Result<(), ExportError> {
         assert_eq!(self.next_step, self.description.times.num_steps(), "steps written");
-        let mut text = String::from("<?xml version=\"1.0\"?>\n");
-        text += "<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n  <Collection>\n";
-        for (step, time) in self.description.times.times.iter().enumerate() {
-            let file = escaped(&self.step_path(step).to_string_lossy());
-            writeln!(text, "    <DataSet timestep=\"{time:?}\" part=\"0\" file=\"{file}\"/>")
-                .expect("writing to a string");
-        }
-        text += "  </Collection>\n</VTKFile>\n";
+        let text = collection_text(&self.description.times.times, |step| self.step_path(step));
         self.collection.write(text.as_bytes())?;
         // The collection comes last: once it is there, everything that it names is.
         self.folder.finish()?;

@@ -146,14 +146,14 @@ pub(crate) fn open_parallel(path: &Path) -> Result<Box<dyn MeshFile>, SourceErro
     join(path, pieces, whole, None)
 }
 
-/// The element of a piece, and its extent.
-type PlacedPiece = (usize, [i64; 6]);
+/// The extent of a lattice; pieces of it, by the number of their element, with their own extents.
+pub(crate) type LatticePieces = ([i64; 6], Vec<(usize, [i64; 6])>);
 
 /// The pieces of a data set in one file that have points, with the extent of each in a lattice.
 pub(crate) fn lattice_pieces(
     document: &Document,
     (index, data_set): (usize, &Element),
-) -> Result<([i64; 6], Vec<PlacedPiece>), SourceError> {
+) -> Result<LatticePieces, SourceError> {
     let path = &document.path;
     let whole = numbers::<i64, 6>(path, data_set, "WholeExtent", None)?;
     let mut pieces = Vec::new();

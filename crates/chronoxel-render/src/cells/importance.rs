@@ -3,12 +3,13 @@
 use rayon::prelude::*;
 
 use super::CellMesh;
+use super::mesh::{cross, dot, sub};
 
 /// Faces of a mesh that are drawn.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FaceChoice {
     /// Numbers of the faces, rising.
-    pub(super) faces: Vec<u32>,
+    pub(crate) faces: Vec<u32>,
 }
 
 impl FaceChoice {
@@ -37,36 +38,169 @@ impl FaceChoice {
         Self { faces }
     }
 
-    /// Faces drawn at random, each with a chance that grows with its importance (Efraimidis and Spirakis 2006), and the boundary: as
-    /// many as [`Self::new`] takes.
-    ///
-    /// Where the most important faces lie side by side, this leaves some for the rest.
-    ///
-    /// * `importance`: one per face of the mesh, at least 0
-    /// * `seed`: of the numbers drawn
-    ///
-    /// # Panics
-    /// As [`Self::new`].
-    pub fn sampled(mesh: &CellMesh, importance: &[f32], fraction: f64, seed: u64) -> Self {
-        let mean = importance.iter().map(|&i| f64::from(i)).sum::<f64>() / importance.len().max(1) as f64;
-        let floor = (LEAST_CHANCE * mean).max(1e-30);
-        let key = |(number, &weight): (u64, &f32)| {
-            // A number in (0, 1); of an exponential distribution, the faster the rarer.
-            let uniform = ((scrambled(number ^ seed) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
-            (f64::from(weight).max(floor) / -uniform.ln()) as f32
-        };
-        let keys: Vec<f32> = (0u64..).zip(importance).map(key).collect();
-        Self::new(mesh, &keys, fraction)
-    }
-
     /// Faces that are drawn.
     pub fn num_faces(&self) -> usize {
         self.faces.len()
     }
 }
 
-/// Chances of [`FaceChoice::sampled`] are at least this much of the mean, so that still regions keep some faces.
-const LEAST_CHANCE: f64 = 0.25;
+/// The faces of a mesh in an order of which every beginning is a choice: more detail keeps what less detail has.
+///
+/// The boundary is always drawn, since what is inside is counted there; fractions are those of the faces within.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FaceOrder {
+    boundary: Vec<u32>,
+    inner: Vec<u32>,
+}
+
+impl FaceOrder {
+    /// The most important faces first, the first of equal ones (bernardon2006, section 3.4).
+    ///
+    /// * `importance`: one per face of the mesh
+    ///
+    /// # Panics
+    /// If there is another number of importances than faces.
+    pub fn by_importance(mesh: &CellMesh, importance: &[f32]) -> Self {
+        assert_eq!(importance.len(), mesh.num_faces(), "one importance per face");
+        let mut order = Self::unordered(mesh);
+        let rank = |f: &u32| (OrderedLast(importance[*f as usize]), *f);
+        order.inner.par_sort_unstable_by_key(rank);
+        order
+    }
+
+    /// Faces all over the mesh, the denser the larger and the more important they are.
+    ///
+    /// Taking the most important faces alone, as the paper does, leaves regions without any, through which rays then go in one
+    /// step from far apart. Here faces lie along a curve through the mesh (Morton 1966), each with a length of
+    /// `sqrt(importance · area)`, and are taken where the numbers 1/2, 1/4, 3/4, 1/8 … (van der Corput 1935) of the whole length fall.
+    /// So at every number the gaps between faces are about alike where they matter alike.
+    ///
+    /// * `importance`: one per face of the mesh, at least 0
+    ///
+    /// # Panics
+    /// As [`Self::by_importance`].
+    pub fn spread(mesh: &CellMesh, importance: &[f32]) -> Self {
+        assert_eq!(importance.len(), mesh.num_faces(), "one importance per face");
+        let mut order = Self::unordered(mesh);
+        let curve = Curve::new(mesh.bounds());
+        let place = |&face: &u32| {
+            (curve.place(mesh.faces[face as usize].points.map(|p| mesh.points[p as usize])), face)
+        };
+        let mut along: Vec<(u64, u32)> = order.inner.par_iter().map(place).collect();
+        along.par_sort_unstable();
+        let sum: f64 = along.iter().map(|&(_, face)| f64::from(importance[face as usize])).sum();
+        let floor = LEAST_IMPORTANCE * sum / along.len().max(1) as f64;
+        let length = |&(_, face): &(u64, u32)| {
+            let of_face = f64::from(importance[face as usize]).max(floor);
+            // Where nothing varies all faces matter alike.
+            let of_face = if floor > 0.0 { of_face } else { 1.0 };
+            (of_face * twice_area(mesh, face)).sqrt()
+        };
+        let lengths: Vec<f64> = along.par_iter().map(length).collect();
+        let total = lengths.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let (mut end, mut start) = (0.0, 0u64);
+        let mut ranked: Vec<(u64, u32)> = Vec::with_capacity(along.len());
+        for (&(_, face), length) in along.iter().zip(&lengths) {
+            end += length;
+            let stop = ((end / total * WHOLE) as u64).max(start + 1);
+            ranked.push((corput_rank(start, stop), face));
+            start = stop;
+        }
+        ranked.par_sort_unstable();
+        order.inner = ranked.into_iter().map(|(_, face)| face).collect();
+        order
+    }
+
+    fn unordered(mesh: &CellMesh) -> Self {
+        let (boundary, inner) =
+            (0..mesh.faces.len() as u32).partition(|&f| mesh.faces[f as usize].is_boundary);
+        Self { boundary, inner }
+    }
+
+    /// The boundary, and a fraction of the faces within.
+    ///
+    /// * `fraction`: in [0, 1]; `None` is returned where all are drawn
+    pub fn choose(&self, fraction: f64) -> Option<FaceChoice> {
+        let num = (fraction.clamp(0.0, 1.0) * self.inner.len() as f64).round() as usize;
+        if num == self.inner.len() {
+            return None;
+        }
+        let mut faces = [self.boundary.as_slice(), &self.inner[..num]].concat();
+        faces.par_sort_unstable();
+        Some(FaceChoice { faces })
+    }
+
+    /// Faces of the boundary.
+    pub fn num_boundary(&self) -> usize {
+        self.boundary.len()
+    }
+
+    /// Faces within.
+    pub fn num_inner(&self) -> usize {
+        self.inner.len()
+    }
+}
+
+/// A number that sorts by falling value.
+#[derive(PartialEq)]
+struct OrderedLast(f32);
+
+impl Eq for OrderedLast {}
+
+impl PartialOrd for OrderedLast {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for OrderedLast {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        other.0.total_cmp(&self.0)
+    }
+}
+
+/// Importances of [`FaceOrder::spread`] are taken as at least this much of their mean, so that still regions keep some faces.
+const LEAST_IMPORTANCE: f64 = 0.05;
+/// The whole length along which faces are taken.
+const WHOLE: f64 = (1u64 << 62) as f64;
+
+/// When the first of the numbers of van der Corput falls behind `start` and not behind `stop`, as a number that rises with the time.
+fn corput_rank(start: u64, stop: u64) -> u64 {
+    // The number in between with the most zeros at its end; in the sequence, numbers come by their bits in reverse.
+    let highest = 63 - (start ^ stop).leading_zeros();
+    (stop >> highest << highest).reverse_bits()
+}
+
+/// A curve through a box.
+struct Curve {
+    low: [f64; 3],
+    per_length: f64,
+}
+
+/// Bits of a place along an axis.
+const PLACE_BITS: u32 = 20;
+
+impl Curve {
+    fn new([low, high]: [[f64; 3]; 2]) -> Self {
+        let side = (0..3).map(|a| high[a] - low[a]).fold(f64::MIN_POSITIVE, f64::max);
+        Self { low, per_length: f64::from((1u32 << PLACE_BITS) - 1) / side }
+    }
+
+    /// Where the centre of a triangle lies on the curve.
+    fn place(&self, corners: [[f64; 3]; 3]) -> u64 {
+        (0..3).fold(0, |code, axis| {
+            let centre = corners.iter().map(|c| c[axis]).sum::<f64>() / 3.0;
+            let along = ((centre - self.low[axis]) * self.per_length) as u64;
+            (0..PLACE_BITS).fold(code, |code, bit| code | (along >> bit & 1) << (3 * bit + axis as u32))
+        })
+    }
+}
+
+fn twice_area(mesh: &CellMesh, face: u32) -> f64 {
+    let [a, b, c] = mesh.faces[face as usize].points.map(|p| mesh.points[p as usize]);
+    let normal = cross(sub(b, a), sub(c, a));
+    dot(normal, normal).sqrt()
+}
 
 /// How much the values at the points of a mesh vary over time: sums over the steps that were added.
 #[derive(Debug, Clone)]
@@ -78,6 +212,9 @@ pub struct Variation {
 
 /// Means are taken as at least this fraction of the range of the values, so that dividing by them means something.
 const LEAST_MEAN: f64 = 1e-3;
+/// The same for [`Variation::order`]: below it deviations count as they are. What is nearly zero all the time varies a lot by its
+/// coefficient, and is not to be seen.
+const LEAST_MEAN_OF_ORDER: f64 = 0.5;
 
 impl Variation {
     /// No steps yet.
@@ -105,7 +242,11 @@ impl Variation {
     ///
     /// * `value_range`: smallest and largest value of the series
     pub fn coefficients(&self, value_range: [f64; 2]) -> Vec<f32> {
-        let guard = (LEAST_MEAN * (value_range[1] - value_range[0])).max(f64::MIN_POSITIVE);
+        self.coefficients_above(LEAST_MEAN, value_range)
+    }
+
+    fn coefficients_above(&self, least_mean: f64, value_range: [f64; 2]) -> Vec<f32> {
+        let guard = (least_mean * (value_range[1] - value_range[0])).max(f64::MIN_POSITIVE);
         let num = f64::from(self.num_steps.max(1));
         let of =
             |[mean, squares]: &[f64; 2]| ((squares.max(0.0) / num).sqrt() / mean.abs().max(guard)) as f32;
@@ -117,8 +258,20 @@ impl Variation {
     /// # Panics
     /// If the mesh has another number of points.
     pub fn importance(&self, mesh: &CellMesh, value_range: [f64; 2]) -> Vec<f32> {
-        assert_eq!(mesh.num_points(), self.moments.len(), "one value per point");
-        let of_points = self.coefficients(value_range);
+        Self::of_faces(mesh, &self.coefficients(value_range))
+    }
+
+    /// The faces of a mesh in the order in which they are worth drawing: [`FaceOrder::spread`] by coefficients of variation.
+    ///
+    /// # Panics
+    /// As [`Self::importance`].
+    pub fn order(&self, mesh: &CellMesh, value_range: [f64; 2]) -> FaceOrder {
+        let of_points = self.coefficients_above(LEAST_MEAN_OF_ORDER, value_range);
+        FaceOrder::spread(mesh, &Self::of_faces(mesh, &of_points))
+    }
+
+    fn of_faces(mesh: &CellMesh, of_points: &[f32]) -> Vec<f32> {
+        assert_eq!(mesh.num_points(), of_points.len(), "one value per point");
         let of_face = |face: &super::mesh::Face| face.points.iter().map(|&p| of_points[p as usize]).sum();
         mesh.faces.par_iter().with_min_len(1 << 14).map(of_face).collect()
     }
@@ -197,6 +350,28 @@ mod tests {
         let importance = vec![1.0; mesh.num_faces()];
         assert_eq!(FaceChoice::new(&mesh, &importance, 0.0).num_faces(), 6);
         assert_eq!(FaceChoice::new(&mesh, &importance, 1.0).num_faces(), 7);
+    }
+
+    #[test]
+    fn numbers_of_van_der_corput_come_in_their_order() {
+        // 0.1, 0.01, 0.11, 0.001, 0.101, 0.011, 0.111 in binary; the last of eight equal parts ends with the whole.
+        let ranks: Vec<u64> = (0..8).map(|i| corput_rank(i << 3, (i + 1) << 3)).collect();
+        let mut order: Vec<usize> = (0..8).collect();
+        order.sort_by_key(|&i| ranks[i]);
+        assert_eq!(order, [7, 3, 1, 5, 0, 4, 2, 6]);
+    }
+
+    #[test]
+    fn more_detail_keeps_what_less_has() {
+        let mesh = mesh();
+        let importance = vec![1.0; mesh.num_faces()];
+        for order in [FaceOrder::spread(&mesh, &importance), FaceOrder::by_importance(&mesh, &importance)] {
+            assert_eq!((order.num_boundary(), order.num_inner()), (6, 1));
+            assert_eq!(order.choose(0.0).map(|choice| choice.num_faces()), Some(6));
+            assert_eq!(order.choose(1.0), None);
+        }
+        let nothing = FaceOrder::spread(&mesh, &vec![0.0; mesh.num_faces()]);
+        assert_eq!(nothing.num_inner(), 1);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::RenderError;
 
 /// A triangle between tetrahedra, or at the mesh's boundary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Face {
+pub(crate) struct Face {
     /// Points, ascending.
     pub points: [u32; 3],
     /// Tetrahedra on the side that `(b - a) × (c - a)` points to, less those on the other side.
@@ -20,18 +20,25 @@ pub(super) struct Face {
 /// The points and tetrahedra of a mesh, made ready once for many pictures.
 #[derive(Debug)]
 pub struct CellMesh {
-    pub(super) points: Vec<[f64; 3]>,
-    pub(super) tetrahedra: Vec<[u32; 4]>,
-    pub(super) faces: Vec<Face>,
-    pub(super) longest_edge: f64,
+    pub(crate) points: Vec<[f64; 3]>,
+    pub(crate) tetrahedra: Vec<[u32; 4]>,
+    pub(crate) faces: Vec<Face>,
+    /// The tetrahedron on the side of each face that its normal points to, and that on the other, or [`NO_CELL`].
+    pub(crate) sides: Vec<[u32; 2]>,
+    /// Faces of each tetrahedron.
+    pub(super) faces_of_cells: Vec<[u32; 4]>,
+    pub(crate) longest_edge: f64,
     bounds: [[f64; 3]; 2],
     num_flat: usize,
     cells_of_point: OnceLock<CellsOfPoints>,
 }
 
+/// In place of a tetrahedron where there is none.
+pub(super) const NO_CELL: u32 = u32::MAX;
+
 /// The tetrahedra around each point, as runs of one list.
 #[derive(Debug)]
-pub(super) struct CellsOfPoints {
+pub(crate) struct CellsOfPoints {
     pub starts: Vec<u32>,
     pub cells: Vec<u32>,
 }
@@ -63,7 +70,7 @@ impl CellMesh {
             let remedy = "there must be at least one that is not flat, and at most 2^29";
             return Err(RenderError::invalid("number of tetrahedra", oriented.len(), remedy));
         }
-        let faces = unique_faces(&oriented);
+        let Faces { faces, sides, of_cells } = unique_faces(&oriented);
         let length = |[a, b]: [u32; 2]| {
             let d = sub(points[a as usize], points[b as usize]);
             dot(d, d)
@@ -82,6 +89,8 @@ impl CellMesh {
             points,
             tetrahedra: oriented,
             faces,
+            sides,
+            faces_of_cells: of_cells,
             longest_edge,
             bounds,
             num_flat,
@@ -119,16 +128,27 @@ impl CellMesh {
         self.bounds
     }
 
+    /// The longest segment for which colours are integrated: the longest edge, or half the mesh where faces are left out.
+    pub(crate) fn longest_segment(&self, faces_are_left_out: bool) -> f64 {
+        if !faces_are_left_out {
+            return self.longest_edge;
+        }
+        let diagonal = sub(self.bounds[1], self.bounds[0]);
+        (0.5 * dot(diagonal, diagonal).sqrt()).max(self.longest_edge)
+    }
+
     /// Bytes held in memory.
     pub fn num_bytes(&self) -> usize {
         size_of_val(self.points.as_slice())
             + size_of_val(self.tetrahedra.as_slice())
             + size_of_val(self.faces.as_slice())
+            + size_of_val(self.sides.as_slice())
+            + size_of_val(self.faces_of_cells.as_slice())
             + self.cells_of_point.get().map_or(0, |c| 4 * (c.starts.len() + c.cells.len()))
     }
 
     /// The tetrahedra around each point; found when first asked for.
-    pub(super) fn cells_of_points(&self) -> &CellsOfPoints {
+    pub(crate) fn cells_of_points(&self) -> &CellsOfPoints {
         self.cells_of_point.get_or_init(|| {
             let mut starts = vec![0u32; self.points.len() + 1];
             self.tetrahedra.iter().flatten().for_each(|&p| starts[p as usize + 1] += 1);
@@ -162,24 +182,44 @@ pub(super) fn six_volumes(points: &[[f64; 3]], cell: [u32; 4]) -> f64 {
 #[derive(Clone, Copy)]
 struct HalfFace {
     points: [u32; 3],
+    cell: u32,
     /// 1 where the tetrahedron lies on the side that the normal of the ascending points has.
     side: i8,
 }
 
-fn unique_faces(tetrahedra: &[[u32; 4]]) -> Vec<Face> {
-    let mut halves: Vec<HalfFace> = tetrahedra.par_iter().flat_map_iter(|cell| half_faces(*cell)).collect();
-    halves.par_sort_unstable_by_key(|half| (half.points, half.side));
-    let merge = |same: &[HalfFace]| {
-        let num = |side: i8| same.iter().filter(|half| half.side == side).count();
-        let (above, below) = (num(1), num(-1));
+/// The faces of a mesh, each once, and what lies at them.
+struct Faces {
+    faces: Vec<Face>,
+    sides: Vec<[u32; 2]>,
+    of_cells: Vec<[u32; 4]>,
+}
+
+fn unique_faces(tetrahedra: &[[u32; 4]]) -> Faces {
+    let numbered = tetrahedra.par_iter().enumerate();
+    let mut halves: Vec<HalfFace> = numbered.flat_map_iter(|(n, cell)| half_faces(n as u32, *cell)).collect();
+    halves.par_sort_unstable_by_key(|half| (half.points, half.side, half.cell));
+    let num = halves.chunk_by(|a, b| a.points == b.points).count();
+    let (faces, sides) = (Vec::with_capacity(num), Vec::with_capacity(num));
+    let mut found = Faces { faces, sides, of_cells: vec![[NO_CELL; 4]; tetrahedra.len()] };
+    for same in halves.chunk_by(|a, b| a.points == b.points) {
+        let number = found.faces.len() as u32;
+        let on = |side: i8| same.iter().filter(move |half| half.side == side);
+        let (above, below) = (on(1).count(), on(-1).count());
         let net = (above as i64 - below as i64).clamp(-7, 7) as i8;
-        Face { points: same[0].points, net, is_boundary: above != 1 || below != 1 }
-    };
-    halves.chunk_by(|a, b| a.points == b.points).map(merge).collect()
+        found.faces.push(Face { points: same[0].points, net, is_boundary: above != 1 || below != 1 });
+        found.sides.push([1, -1].map(|side| on(side).next().map_or(NO_CELL, |half| half.cell)));
+        for half in same {
+            let of_cell = &mut found.of_cells[half.cell as usize];
+            if let Some(place) = of_cell.iter_mut().find(|face| **face == NO_CELL) {
+                *place = number;
+            }
+        }
+    }
+    found
 }
 
 /// The sides of a positively oriented tetrahedron.
-fn half_faces([a, b, c, d]: [u32; 4]) -> [HalfFace; 4] {
+fn half_faces(cell: u32, [a, b, c, d]: [u32; 4]) -> [HalfFace; 4] {
     // The normal of each of these points into the tetrahedron.
     [[a, b, c], [a, d, b], [a, c, d], [b, d, c]].map(|mut points| {
         let mut side = 1;
@@ -189,7 +229,7 @@ fn half_faces([a, b, c, d]: [u32; 4]) -> [HalfFace; 4] {
                 side = -side;
             }
         }
-        HalfFace { points, side }
+        HalfFace { points, cell, side }
     })
 }
 

@@ -33,7 +33,9 @@ pub struct CellScene {
 
 impl CellScene {
     /// Checks that a mesh with values can be drawn.
-    pub(super) fn check(&self, mesh: &CellMesh, values: &[f32]) -> Result<(), RenderError> {
+    ///
+    /// * `num_values`: of the mesh's points
+    pub(crate) fn check(&self, mesh: &CellMesh, num_values: usize) -> Result<(), RenderError> {
         check_size(self.size)?;
         if !(self.opacity_unit.is_finite() && self.opacity_unit > 0.0) {
             let remedy = "it must be a finite and positive length";
@@ -44,9 +46,9 @@ impl CellScene {
             let value = format!("{:?}", self.value_range);
             return Err(RenderError::invalid("range of the values", value, "it must be finite and rising"));
         }
-        if values.len() != mesh.num_points() {
+        if num_values != mesh.num_points() {
             let remedy = "give one value per point of the mesh";
-            return Err(RenderError::invalid("number of values", values.len(), remedy));
+            return Err(RenderError::invalid("number of values", num_values, remedy));
         }
         Ok(self.lighting.map_or(Ok(()), |lighting| lighting.check())?)
     }
@@ -97,8 +99,13 @@ pub struct CellRenderer {
     corners: Vec<Corner>,
 }
 
-/// What a table depends on.
-type TableKey = (ResolvedTransfer, [f64; 2], f64);
+/// Checks that pixels can put so many fragments into order.
+pub(crate) fn check_k(k: usize) -> Result<(), RenderError> {
+    if [2, 6, 16].contains(&k) { Ok(()) } else { Err(RenderError::invalid("k", k, "use 2, 6 or 16")) }
+}
+
+/// What a table depends on: transfer function, range of values, and the lengths of the opacity's unit and the longest segment.
+pub(crate) type TableKey = (ResolvedTransfer, [f64; 2], [f64; 2]);
 
 impl CellRenderer {
     /// A renderer of a mesh.
@@ -106,9 +113,7 @@ impl CellRenderer {
     /// # Errors
     /// [`RenderError::InvalidArgument`] if `k` is none of 2, 6 and 16.
     pub fn new(mesh: Arc<CellMesh>, options: CellOptions) -> Result<Self, RenderError> {
-        if ![2, 6, 16].contains(&options.k) {
-            return Err(RenderError::invalid("k", options.k, "use 2, 6 or 16"));
-        }
+        check_k(options.k)?;
         Ok(Self { mesh, options, choice: None, view: None, table: None, corners: Vec::new() })
     }
 
@@ -138,17 +143,17 @@ impl CellRenderer {
     /// [`RenderError`] if the scene cannot be drawn, or there is another number of values than points.
     pub fn render(&mut self, scene: &CellScene, values: &[f32]) -> Result<(Image, CellStats), RenderError> {
         let start = Instant::now();
-        scene.check(&self.mesh, values)?;
+        scene.check(&self.mesh, values.len())?;
         let Self { mesh, options, choice, view, table, corners } = self;
         let mut view_changed = view.is_none();
         let view =
             view.get_or_insert_with(|| CellView::new(mesh, &scene.camera, scene.size, choice.as_ref()));
         view_changed |= view.look(mesh, &scene.camera, scene.size);
-        let key = (scene.transfer.clone(), scene.value_range, scene.opacity_unit);
+        let longest = mesh.longest_segment(choice.is_some());
+        let key = (scene.transfer.clone(), scene.value_range, [scene.opacity_unit, longest]);
         table.take_if(|(of, _)| *of != key);
         let table_changed = table.is_none();
         let (_, table) = table.get_or_insert_with(|| {
-            let longest = mesh.longest_edge;
             (key, CellTable::new(&scene.transfer, scene.value_range, scene.opacity_unit, longest))
         });
         place_corners(corners, view, table, values);
@@ -225,7 +230,7 @@ fn cosines(mesh: &CellMesh, view: &CellView, values: &[f32]) -> Vec<f32> {
 }
 
 /// What light does, for each sum of two cosines of 8 bits.
-fn light_table(lighting: Lighting) -> Vec<[f32; 4]> {
+pub(crate) fn light_table(lighting: Lighting) -> Vec<[f32; 4]> {
     let entry = |sum: usize| {
         let cosine = sum as f64 / 510.0;
         let across = (1.0 - cosine * cosine).max(0.0).sqrt();

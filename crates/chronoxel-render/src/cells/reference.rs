@@ -29,7 +29,7 @@ pub fn render_cells_reference(
     scene: &CellScene,
     values: &[f32],
 ) -> Result<Image, RenderError> {
-    scene.check(mesh, values)?;
+    scene.check(mesh, values.len())?;
     let gradients = scene.lighting.map(|_| unit_gradients(mesh, values));
     let [width, height] = scene.size;
     let rays = scene.camera.rays(scene.size);

@@ -14,13 +14,13 @@ use rayon::prelude::*;
 use super::segment::extinction;
 
 /// The largest index of a value.
-pub(super) const LAST_NODE: usize = 254;
+pub(crate) const LAST_NODE: usize = 254;
 /// The index of a missing value: its row and column are transparent.
-pub(super) const NO_VALUE: u32 = 255;
+pub(crate) const NO_VALUE: u32 = 255;
 /// Rows, and columns, of a layer.
 const STRIDE: usize = 256;
 /// Layers: lengths for which colours are known.
-pub(super) const NUM_LENGTHS: usize = 4;
+pub(crate) const NUM_LENGTHS: usize = 4;
 /// Places in a bin at which the transfer function is looked at, between two of its corners.
 const LOOKS: usize = 4;
 
@@ -28,11 +28,11 @@ const LOOKS: usize = 4;
 #[derive(Debug)]
 pub struct CellTable {
     /// `[length, front, back]`: colour over opacity, and the extinction times `log2 e`.
-    pub(super) entries: Vec<[f32; 4]>,
+    pub(crate) entries: Vec<[f32; 4]>,
     /// Value of index 0, and indices per unit of value.
-    pub(super) first_value: f64,
-    pub(super) nodes_per_value: f64,
-    pub(super) longest: f64,
+    pub(crate) first_value: f64,
+    pub(crate) nodes_per_value: f64,
+    pub(crate) longest: f64,
 }
 
 /// Extinction and colour of a bin or of a single value.

@@ -17,7 +17,7 @@ const BLOCKS_ACROSS: usize = TILE_WIDTH / BLOCK[0];
 const BLOCKS_DOWN: usize = TILE_HEIGHT / BLOCK[1];
 
 /// A ray ends where less than this much of what lies behind would be seen: half a level of 8 bits.
-const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
+pub(crate) const LEAST_TRANSMITTANCE: f32 = 1.0 / 512.0;
 
 /// Lowest bits of a payload: the number of tetrahedra that a ray enters with the face, less those it leaves, signed.
 const NET_BITS: i32 = 4;
@@ -47,8 +47,8 @@ pub(super) struct Look<'a> {
 }
 
 /// The lengths, in half the longest one, between which layers are told apart.
-const LEAST_PART: f32 = 2.0 / (1 << (2 * NUM_LENGTHS)) as f32;
-const MOST_PART: f32 = 2.0 - 2.0 * f32::EPSILON;
+pub(crate) const LEAST_PART: f32 = 2.0 / (1 << (2 * NUM_LENGTHS)) as f32;
+pub(crate) const MOST_PART: f32 = 2.0 - 2.0 * f32::EPSILON;
 
 /// Eight pixels.
 #[derive(Clone)]
@@ -80,6 +80,16 @@ impl<const K: usize> Block<K> {
         transmittance: Eight::splat(1.0),
         per_depth: Eight::splat(1.0),
     };
+
+    /// The mask of rays that have ended: each for itself, so that pictures do not depend on which pixels lie side by side.
+    ///
+    /// # Safety
+    /// The CPU has the instructions of `W`.
+    #[inline(always)]
+    unsafe fn ended<W: Wide>(&self) -> W::V {
+        // SAFETY: as this function.
+        unsafe { W::less(W::load(&self.transmittance), W::splat(LEAST_TRANSMITTANCE)) }
+    }
 }
 
 /// What was counted while a tile was drawn.
@@ -169,6 +179,7 @@ impl<const K: usize> Tile<K> {
                     }
                     let x = self.corner[0] + (column * BLOCK[0]) as f32;
                     let (outside, [ab, ac]) = edges.at(&along, W::add(W::splat(x), steps_x));
+                    let outside = W::or(outside, self.blocks[number].ended::<W>());
                     let covered = !W::bits(outside) & 255;
                     if covered == 0 {
                         continue;
@@ -198,7 +209,10 @@ impl<const K: usize> Tile<K> {
                 if !is_done {
                     // SAFETY: as this function.
                     unsafe {
-                        let (depth, payload) = (W::load(&block.depths[i]), W::load(&block.payloads[i]));
+                        let ended = block.ended::<W>();
+                        let nowhere = W::splat(f32::NEG_INFINITY);
+                        let depth = W::select(ended, nowhere, W::load(&block.depths[i]));
+                        let payload = W::select(ended, W::splat(0.0), W::load(&block.payloads[i]));
                         let (misordered, _) = advance::<W, K>(look, block, depth, payload);
                         self.counts.misordered += u64::from(misordered.count_ones());
                     }

@@ -1,7 +1,7 @@
 //! A mesh as it is seen from somewhere: projected points, and faces sorted by depth and binned to tiles.
 //!
-//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew; moving
-//! or zooming it only projects and bins.
+//! None of it depends on values, so that steps of a series are drawn with one view. Turning the camera sorts anew, and in a
+//! perspective moving it; zooming only projects and bins.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::mesh::Face;
 use super::tile::{TILE_HEIGHT, TILE_WIDTH};
-use super::{CellMesh, FaceChoice, face_sort};
+use super::{CellMesh, FaceChoice, visibility};
 
 /// Parts of the sorted faces that are binned on their own.
 const NUM_BINS: usize = 16;
@@ -18,11 +18,11 @@ const NUM_BINS: usize = 16;
 const NEAREST: f64 = 1e-3;
 
 /// A face in the picture: its points, ascending, and [`Face::net`] as its bits.
-pub(super) type ViewFace = [u32; 4];
+pub(crate) type ViewFace = [u32; 4];
 
 /// A point where an edge enters what is in front of the camera.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Cut {
+pub(crate) struct Cut {
     pub ends: [u32; 2],
     /// Weight of the second end.
     pub weight: f32,
@@ -48,11 +48,20 @@ pub struct CellView {
     chosen: Vec<u32>,
     /// The same by depth.
     order: Vec<u32>,
-    /// Column, row, and depth (or, in a perspective, its inverse) of the mesh's points and then of the cuts; NaN
-    /// behind the camera.
+    /// See [`Seen`].
     pub(super) points: Vec<[f32; 3]>,
     pub(super) cuts: Vec<Cut>,
     pub(super) bins: Vec<Bin>,
+}
+
+/// Points and sorted faces as a camera sees them.
+pub(crate) struct Seen {
+    /// Column, row, and depth (or, in a perspective, its inverse) of the mesh's points and then of the cuts; NaN
+    /// behind the camera.
+    pub points: Vec<[f32; 3]>,
+    pub cuts: Vec<Cut>,
+    /// Faces in order, in parts.
+    pub parts: Vec<Vec<ViewFace>>,
 }
 
 impl CellView {
@@ -69,7 +78,7 @@ impl CellView {
         let mut view = Self {
             camera: *camera,
             size,
-            order: sorted(mesh, camera, &chosen),
+            order: visibility::order(mesh, camera, &chosen),
             chosen,
             points: Vec::new(),
             cuts: Vec::new(),
@@ -80,15 +89,15 @@ impl CellView {
     }
 
     /// Sees the same faces of the same mesh from another place, and says whether anything changed; sorts them again
-    /// only if the direction did.
+    /// only if the direction did, or in a perspective the eye.
     pub fn look(&mut self, mesh: &CellMesh, camera: &Camera, size: [usize; 2]) -> bool {
         if self.camera == *camera && self.size == size {
             return false;
         }
-        let is_turned = self.camera.axes()[2] != camera.axes()[2];
+        let is_turned = visibility::depends_on(&self.camera) != visibility::depends_on(camera);
         (self.camera, self.size) = (*camera, size);
         if is_turned {
-            self.order = sorted(mesh, camera, &self.chosen);
+            self.order = visibility::order(mesh, camera, &self.chosen);
         }
         self.project(mesh);
         true
@@ -124,34 +133,8 @@ impl CellView {
     }
 
     fn project(&mut self, mesh: &CellMesh) {
-        let projector = Projector::new(&self.camera, self.size, mesh.longest_edge);
-        let depths = depths_of(mesh, &self.camera);
-        let points = mesh.points.par_iter().zip(&depths).with_min_len(1 << 12);
-        self.points = points.map(|(p, depth)| projector.project(*p, *depth)).collect();
-        self.cuts.clear();
-        let mut clipper = Clipper { mesh, depths: &depths, projector, cuts: HashMap::new(), view: self };
-        let near_faces = clipper.caps();
-        let clipped = clipper.clipped_faces();
-        let mut parts: Vec<Vec<ViewFace>> = vec![near_faces];
-        let part_len = self.order.len().div_ceil(NUM_BINS).max(1);
-        let face = |number: &u32| {
-            let Face { points, net, .. } = mesh.faces[*number as usize];
-            match clipped.get(number) {
-                Some(pieces) => pieces.clone(),
-                None => vec![[points[0], points[1], points[2], i32::from(net) as u32]],
-            }
-        };
-        if clipped.is_empty() {
-            // The usual case, without a list for each face.
-            let plain = |number: &u32| {
-                let Face { points: [a, b, c], net, .. } = mesh.faces[*number as usize];
-                [a, b, c, i32::from(net) as u32]
-            };
-            parts.par_extend(self.order.par_chunks(part_len).map(|part| part.iter().map(plain).collect()));
-        } else {
-            parts
-                .par_extend(self.order.par_chunks(part_len).map(|part| part.iter().flat_map(face).collect()));
-        }
+        let Seen { points, cuts, parts } = Seen::new(mesh, &self.camera, self.size, &self.order);
+        (self.points, self.cuts) = (points, cuts);
         let this = &*self;
         self.bins = parts.into_par_iter().with_max_len(1).map(|faces| this.bin(faces)).collect();
     }
@@ -200,6 +183,33 @@ impl CellView {
     }
 }
 
+impl Seen {
+    /// * `order`: numbers of the faces by depth
+    pub fn new(mesh: &CellMesh, camera: &Camera, size: [usize; 2], order: &[u32]) -> Self {
+        let projector = Projector::new(camera, size, mesh.longest_edge);
+        let depths = depths_of(mesh, camera);
+        let points = mesh.points.par_iter().zip(&depths).with_min_len(1 << 12);
+        let points = points.map(|(p, depth)| projector.project(*p, *depth)).collect();
+        let numbers = HashMap::new();
+        let mut clipper = Clipper { mesh, depths: &depths, projector, numbers, points, cuts: Vec::new() };
+        let mut parts = vec![clipper.caps()];
+        let clipped = clipper.clipped_faces(order);
+        let part_len = order.len().div_ceil(NUM_BINS).max(1);
+        let whole = |number: &u32| {
+            let Face { points: [a, b, c], net, .. } = mesh.faces[*number as usize];
+            [a, b, c, i32::from(net) as u32]
+        };
+        let pieces = |number: &u32| clipped.get(number).cloned().unwrap_or_else(|| vec![whole(number)]);
+        if clipped.is_empty() {
+            // The usual case, without a list for each face.
+            parts.par_extend(order.par_chunks(part_len).map(|part| part.iter().map(whole).collect()));
+        } else {
+            parts.par_extend(order.par_chunks(part_len).map(|part| part.iter().flat_map(pieces).collect()));
+        }
+        Self { points: clipper.points, cuts: clipper.cuts, parts }
+    }
+}
+
 /// Numbers of the tiles between a first and a last column and row.
 fn tiles_in([columns, rows]: [[u16; 2]; 2], across: usize) -> impl Iterator<Item = usize> {
     (rows[0]..=rows[1]).flat_map(move |row| {
@@ -207,15 +217,14 @@ fn tiles_in([columns, rows]: [[u16; 2]; 2], across: usize) -> impl Iterator<Item
     })
 }
 
-/// Faces by the depths of their centroids.
-fn sorted(mesh: &CellMesh, camera: &Camera, faces: &[u32]) -> Vec<u32> {
-    let depths = depths_of(mesh, camera);
-    let depth = |face: &u32| {
-        let [a, b, c] = mesh.faces[*face as usize].points.map(|p| depths[p as usize]);
-        (a + b + c) as f32
-    };
-    let keys: Vec<f32> = faces.par_iter().with_min_len(1 << 12).map(depth).collect();
-    face_sort::order_of(&keys).into_par_iter().with_min_len(1 << 14).map(|i| faces[i as usize]).collect()
+/// Whether everything that is drawn lies where the camera sees: nothing needs to be cut.
+#[cfg(feature = "gpu")]
+pub(crate) fn is_all_seen(mesh: &CellMesh, camera: &Camera) -> bool {
+    let (forward, eye, bounds) = (camera.axes()[2], camera.position(), mesh.bounds());
+    let depth =
+        |corner: usize| -> f64 { (0..3).map(|a| (bounds[corner >> a & 1][a] - eye[a]) * forward[a]).sum() };
+    // With a margin for what is rounded.
+    (0..8).all(|corner| depth(corner) > 2.0 * NEAREST * mesh.longest_edge)
 }
 
 /// Depths of the points along the direction of view, from the camera.
@@ -263,16 +272,17 @@ impl Projector {
 }
 
 /// Cuts faces at the plane where the camera begins to see, and closes the tetrahedra there.
-struct Clipper<'a, 'b> {
+struct Clipper<'a> {
     mesh: &'a CellMesh,
     depths: &'a [f64],
     projector: Projector,
     /// Numbers of the cuts of edges.
-    cuts: HashMap<[u32; 2], u32>,
-    view: &'b mut CellView,
+    numbers: HashMap<[u32; 2], u32>,
+    points: Vec<[f32; 3]>,
+    cuts: Vec<Cut>,
 }
 
-impl Clipper<'_, '_> {
+impl Clipper<'_> {
     fn is_seen(&self, point: u32) -> bool {
         self.depths[point as usize] >= self.projector.near
     }
@@ -286,17 +296,17 @@ impl Clipper<'_, '_> {
     /// The point where an edge with one end in sight is cut.
     fn cut(&mut self, a: u32, b: u32) -> u32 {
         let ends = [a.min(b), a.max(b)];
-        if let Some(number) = self.cuts.get(&ends) {
+        if let Some(number) = self.numbers.get(&ends) {
             return *number;
         }
         let [da, db] = ends.map(|p| self.depths[p as usize]);
         let weight = (self.projector.near - da) / (db - da);
         let [pa, pb] = ends.map(|p| self.mesh.points[p as usize]);
         let place = std::array::from_fn(|i| pa[i] + weight * (pb[i] - pa[i]));
-        let number = self.view.points.len() as u32;
-        self.view.points.push(self.projector.project(place, self.projector.near));
-        self.view.cuts.push(Cut { ends, weight: weight as f32 });
-        self.cuts.insert(ends, number);
+        let number = self.points.len() as u32;
+        self.points.push(self.projector.project(place, self.projector.near));
+        self.cuts.push(Cut { ends, weight: weight as f32 });
+        self.numbers.insert(ends, number);
         number
     }
 
@@ -316,7 +326,7 @@ impl Clipper<'_, '_> {
             };
             for i in 1..corners.len() - 1 {
                 let [a, b, c] = ascending([corners[0], corners[i], corners[i + 1]], 1).0;
-                let [pa, pb, pc] = [a, b, c].map(|p| self.view.points[p as usize].map(f64::from));
+                let [pa, pb, pc] = [a, b, c].map(|p| self.points[p as usize].map(f64::from));
                 let area = (pb[0] - pa[0]) * (pc[1] - pa[1]) - (pb[1] - pa[1]) * (pc[0] - pa[0]);
                 let net = if area > 0.0 { 1i32 } else { -1 };
                 caps.push([a, b, c, net as u32]);
@@ -326,12 +336,12 @@ impl Clipper<'_, '_> {
     }
 
     /// What is left in sight of the faces of the order that the plane cuts.
-    fn clipped_faces(&mut self) -> HashMap<u32, Vec<ViewFace>> {
+    fn clipped_faces(&mut self, order: &[u32]) -> HashMap<u32, Vec<ViewFace>> {
         let mut pieces = HashMap::new();
         let cut: Vec<u32> = {
             let this = &*self;
             let is_cut = |face: &&u32| this.is_cut(&this.mesh.faces[**face as usize].points);
-            this.view.order.iter().filter(is_cut).copied().collect()
+            order.iter().filter(is_cut).copied().collect()
         };
         for number in cut {
             let Face { points, net, .. } = self.mesh.faces[number as usize];

@@ -29,6 +29,18 @@ impl Packed {
         self.words.extend(mask_words(mask, layout)?);
         Ok(())
     }
+
+    /// Puts the mask of the missing points of a mesh behind the payload; returns where it begins.
+    ///
+    /// # Errors
+    /// [`RenderError::InvalidArgument`] if it has not one bit per point.
+    pub fn append_point_mask(&mut self, mask: &BitMask, num_points: usize) -> Result<u32, RenderError> {
+        if mask.bytes.len() != num_points.div_ceil(8) {
+            let remedy = "it must have one bit per point of the mesh";
+            return Err(RenderError::invalid("bytes of the mask of points", mask.bytes.len(), remedy));
+        }
+        Ok(append(&mut self.words, &mask.bytes))
+    }
 }
 
 /// A mask as the shaders read it: a bit per sample, lowest first.
@@ -67,11 +79,16 @@ impl ValueRange {
 /// # Errors
 /// [`GpuError::Payload`] for a stage that is not sound, [`GpuError::Scene`] for a range that is not finite.
 pub(super) fn pack(payload: &Payload, layout: &BrickLayout) -> Result<Packed, GpuError> {
-    payload.stages.iter().try_for_each(|stage| stage.validate(layout))?;
+    pack_samples(payload, layout.num_full())
+}
+
+/// [`pack`] of a payload of any number of samples.
+pub(super) fn pack_samples(payload: &Payload, num_samples: usize) -> Result<Packed, GpuError> {
+    payload.stages.iter().try_for_each(|stage| stage.validate_samples(num_samples))?;
     let range = range_of(payload);
     if payload.stages.is_empty() || !(range.low.is_finite() && (range.low + range.width).is_finite()) {
         let value = format!("{} + {}", range.low, range.width);
-        return Err(RenderError::invalid("brick's values", value, "they must be finite").into());
+        return Err(RenderError::invalid("values of a payload", value, "they must be finite").into());
     }
     let width = if range.width > 0.0 { range.width } else { 1.0 };
     let mut words = vec![0; 1 + STAGE_WORDS * payload.stages.len()];

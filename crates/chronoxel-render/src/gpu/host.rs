@@ -149,3 +149,74 @@ pub(super) struct BoxData {
 
 /// `CONSTANT` of `slices.wgsl`.
 pub(super) const CONSTANT: u32 = 1 << 31;
+
+/// `Sight` of `shared/sight.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct SightData {
+    pub right: [f32; 3],
+    pub right_offset: f32,
+    pub up: [f32; 3],
+    pub up_offset: f32,
+    pub forward: [f32; 3],
+    pub depth_offset: f32,
+    pub eye: [f32; 3],
+    pub scale: f32,
+    pub middle: [f32; 2],
+    pub least_depth: f32,
+    pub keys_per_depth: f32,
+    pub num_points: u32,
+    pub num_cuts: u32,
+    pub num_faces: u32,
+    pub is_perspective: u32,
+    pub num_columns: u32,
+    pub num_rows: u32,
+    pub tiles_across: u32,
+    pub first_tile_row: u32,
+    pub num_tile_rows: u32,
+    pub per_half_longest: f32,
+    pub first_row: u32,
+    pub num_all_faces: u32,
+}
+
+/// `Scan` of `cells/scan.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct ScanData {
+    pub num: u32,
+    pub part: u32,
+    pub padding: [u32; 2],
+}
+
+/// `Digit` of `cells/sort.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct DigitData {
+    pub num: u32,
+    pub shift: u32,
+    pub part: u32,
+    pub num_parts: u32,
+}
+
+/// `Values` of `cells/values.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct ValuesData {
+    pub first: f32,
+    pub rest: f32,
+    pub factor: f32,
+    pub offset: f32,
+    pub payload: u32,
+    pub step: u32,
+    pub mask: u32,
+    pub padding: u32,
+}
+
+/// `Cut` of `cells/values.wgsl` and `cells/gradients.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub(super) struct CutData {
+    pub ends: [u32; 2],
+    pub weight: f32,
+    pub padding: u32,
+}

@@ -9,8 +9,11 @@ pub(super) const SHARED: &[(&str, &str)] = &[
     ("shared/decode.wgsl", include_str!("shaders/shared/decode.wgsl")),
     ("shared/lighting.wgsl", include_str!("shaders/shared/lighting.wgsl")),
     ("shared/locate.wgsl", include_str!("shaders/shared/locate.wgsl")),
+    ("shared/missing.wgsl", include_str!("shaders/shared/missing.wgsl")),
     ("shared/opacity.wgsl", include_str!("shaders/shared/opacity.wgsl")),
+    ("shared/prefix.wgsl", include_str!("shaders/shared/prefix.wgsl")),
     ("shared/sampling.wgsl", include_str!("shaders/shared/sampling.wgsl")),
+    ("shared/sight.wgsl", include_str!("shaders/shared/sight.wgsl")),
 ];
 
 /// Packs pictures into 8 bits.
@@ -21,6 +24,23 @@ pub(super) const DECODE: &str = include_str!("shaders/decode.wgsl");
 pub(super) const RAYCAST: &str = include_str!("shaders/raycast.wgsl");
 /// Draws slices.
 pub(super) const SLICES: &str = include_str!("shaders/slices.wgsl");
+
+/// Makes lists of the faces of each tile.
+pub(super) const CELL_BIN: &str = include_str!("shaders/cells/bin.wgsl");
+/// Finds gradients on a mesh.
+pub(super) const CELL_GRADIENTS: &str = include_str!("shaders/cells/gradients.wgsl");
+/// Finds the order of the faces of a mesh.
+pub(super) const CELL_ORDER: &str = include_str!("shaders/cells/order.wgsl");
+/// Projects the points of a mesh.
+pub(super) const CELL_PLACE: &str = include_str!("shaders/cells/place.wgsl");
+/// Sums numbers.
+pub(super) const CELL_SCAN: &str = include_str!("shaders/cells/scan.wgsl");
+/// Sorts pairs.
+pub(super) const CELL_SORT: &str = include_str!("shaders/cells/sort.wgsl");
+/// Draws tiles of a mesh.
+pub(super) const CELL_TILES: &str = include_str!("shaders/cells/tiles.wgsl");
+/// Places values on a mesh.
+pub(super) const CELL_VALUES: &str = include_str!("shaders/cells/values.wgsl");
 
 /// A shader with each line `#import "file"` replaced by the file, which imports nothing itself.
 ///

@@ -9,6 +9,7 @@
 
 mod ahead;
 mod bank;
+mod cells;
 mod decode;
 mod device;
 mod error;
@@ -17,6 +18,7 @@ mod import;
 mod memory;
 mod oldest;
 mod page_table;
+mod picture;
 mod pool;
 mod portion;
 mod raycast;
@@ -37,6 +39,7 @@ use chronoxel_codec::Payload;
 use chronoxel_core::{BitMask, Image, NodeId};
 
 use crate::{RenderError, Scene};
+pub use cells::{CellWay, GpuCellOptions, GpuCellRenderer, GpuCellStats, GpuCellValues};
 use device::Device;
 pub use device::GpuInfo;
 pub use error::GpuError;
@@ -434,7 +437,7 @@ impl GpuRenderer {
     fn finish(&mut self, stats: &mut GpuStats, start: Instant) -> Result<(), GpuError> {
         let times = self.timer.finish(&self.device)?;
         stats.wall_ms = start.elapsed().as_secs_f64() * 1e3;
-        [stats.decode_ms, stats.render_ms] = times.unwrap_or([0.0, stats.wall_ms]);
+        [stats.decode_ms, stats.render_ms, _] = times.unwrap_or([0.0, stats.wall_ms, 0.0]);
         stats.num_slots = self.residency.num_slots();
         stats.bytes_uploaded = self.device.take_uploaded();
         stats.gpu_bytes = self.device.budget.used();

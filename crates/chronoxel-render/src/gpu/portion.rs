@@ -479,7 +479,7 @@ impl When {
 }
 
 /// Checks that a payload has a row for a step.
-fn check_step(payload: &Payload, step: u32) -> Result<(), RenderError> {
+pub(super) fn check_step(payload: &Payload, step: u32) -> Result<(), RenderError> {
     for stage in &payload.stages {
         if let CodedTable::Listed { num_rows, .. } = &stage.table
             && step.checked_shr(stage.shift.into()).unwrap_or(0) as usize >= *num_rows

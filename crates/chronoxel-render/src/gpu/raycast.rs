@@ -4,14 +4,14 @@ use std::collections::HashMap;
 
 use bytemuck::{Zeroable, bytes_of, cast_slice};
 use chronoxel_core::{PictureRays, Projection, UniformGrid};
-use rayon::prelude::*;
 
 use super::device::{Device, storage, uniform};
 use super::host::{BrickData, ConstantData, LightingData, NO_LATER, ViewData};
 use super::memory::{Buffer, Mirror};
 use super::page_table::{CellBox, Entry, PageTable};
+use super::picture::Picture;
 use super::pool::Pool;
-use super::read_back::{Drawn, GpuPicture, Packer, ReadBack};
+use super::read_back::{GpuPicture, ReadBack};
 use super::timing::{Span, Timer};
 use super::{GpuError, Interpolation, Scene, Way, import};
 use crate::cpu::{LEAST_TRANSMITTANCE, table::NUM_ENTRIES};
@@ -26,34 +26,6 @@ pub(super) enum Content {
 /// What is drawn at once, all of its slots resident: boxes that do not overlap, in an order that does not depend on the
 /// view.
 pub(super) type Portion = Vec<(CellBox, Content)>;
-
-/// Rows of the picture, from first to last, of which pixels are held at a time.
-#[derive(Debug)]
-struct Picture {
-    width: u32,
-    rows: u32,
-    gathered: Buffer,
-    back: Back,
-}
-
-/// What a picture is read back by.
-#[derive(Debug)]
-enum Back {
-    Floats(Buffer),
-    Bytes(Packer),
-    Nothing,
-}
-
-impl Back {
-    fn is(&self, read_back: ReadBack) -> bool {
-        let own = match self {
-            Self::Floats(_) => ReadBack::Floats,
-            Self::Bytes(_) => ReadBack::Bytes,
-            Self::Nothing => ReadBack::Nothing,
-        };
-        own == read_back
-    }
-}
 
 /// What the ray caster holds.
 #[derive(Debug)]
@@ -142,40 +114,11 @@ impl Caster {
     pub fn hold_picture(
         &mut self,
         device: &Device,
-        [width, height]: [usize; 2],
+        size: [usize; 2],
         most_bytes: u64,
         read_back: ReadBack,
     ) -> Result<usize, GpuError> {
-        let row_bytes = 16 * width as u64;
-        let limits = &device.limits;
-        let of_binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / row_bytes;
-        let most_rows = (most_bytes / 2 / row_bytes).min(of_binding).min(height as u64);
-        if most_rows == 0 {
-            let (what, needed) = ("a row of the picture", 2 * row_bytes);
-            let given = device.budget.limit();
-            let least = given.saturating_mul(needed).div_ceil(most_bytes.max(1));
-            return Err(GpuError::MemoryTooSmall { given, what, needed, least });
-        }
-        let (width, rows) = (width as u32, most_rows as u32);
-        let is_held = |p: &Picture| [p.width, p.rows] == [width, rows] && p.back.is(read_back);
-        if !self.picture.as_ref().is_some_and(is_held) {
-            if self.picture.take().is_some() {
-                device.settle();
-            }
-            use wgpu::BufferUsages as Usage;
-            let bytes = row_bytes * most_rows;
-            let gathered = device.buffer("the picture", bytes, Usage::STORAGE | Usage::COPY_SRC)?;
-            let back = match read_back {
-                ReadBack::Floats => {
-                    let usage = Usage::COPY_DST | Usage::MAP_READ;
-                    Back::Floats(device.buffer("the picture to read", bytes, usage)?)
-                }
-                ReadBack::Bytes => Back::Bytes(Packer::new(device, Drawn::Rays(&gathered.raw), bytes / 16)?),
-                ReadBack::Nothing => Back::Nothing,
-            };
-            self.picture = Some(Picture { width, rows, gathered, back });
-        }
-        Ok(most_rows as usize)
+        Picture::hold(&mut self.picture, device, size, 1, most_bytes, read_back)
     }
 
     /// Uploads the colours of the levels drawn, one table after another.
@@ -279,23 +222,7 @@ impl Caster {
     /// Appends rows that were drawn to a picture, alpha in place of transmittance.
     pub fn read_rows(&self, device: &Device, num_rows: usize, into: &mut GpuPicture) -> Result<(), GpuError> {
         let picture = self.picture.as_ref().expect("room for a picture is made before it is drawn");
-        let num_pixels = u64::from(picture.width) * num_rows as u64;
-        match (&picture.back, into) {
-            (Back::Floats(read), GpuPicture::Floats(image)) => {
-                let mut encoder = device.raw.create_command_encoder(&Default::default());
-                encoder.copy_buffer_to_buffer(&picture.gathered.raw, 0, &read.raw, 0, 16 * num_pixels);
-                device.queue.submit([encoder.finish()]);
-                device.read(&read.raw, 16 * num_pixels, |bytes| {
-                    let gathered = cast_slice::<u8, [f32; 4]>(bytes).par_iter();
-                    let pixel = |[r, g, b, transmittance]: &[f32; 4]| [*r, *g, *b, 1.0 - transmittance];
-                    image.pixels.par_extend(gathered.with_min_len(4096).map(pixel));
-                })
-            }
-            (Back::Bytes(packer), GpuPicture::Bytes(image)) => {
-                packer.read(device, Drawn::Rays(&picture.gathered.raw), num_pixels, &mut image.pixels)
-            }
-            _ => Ok(()),
-        }
+        picture.read_rows(device, num_rows, into)
     }
 }
 

@@ -4,9 +4,13 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{Module, TypeInner};
 
 use super::host::{
-    BatchData, BoxData, BrickData, ConstantData, JobData, LightingData, PlanesData, StageData, ViewData,
+    BatchData, BoxData, BrickData, ConstantData, CutData, DigitData, JobData, LightingData, PlanesData,
+    ScanData, SightData, StageData, ValuesData, ViewData,
 };
-use super::import::{BYTES, DECODE, RAYCAST, SHARED, SLICES, with_imports};
+use super::import::{
+    BYTES, CELL_BIN, CELL_GRADIENTS, CELL_ORDER, CELL_PLACE, CELL_SCAN, CELL_SORT, CELL_TILES, CELL_VALUES,
+    DECODE, RAYCAST, SHARED, SLICES, with_imports,
+};
 
 #[track_caller]
 fn parsed(name: &str, text: &str) -> Module {
@@ -52,11 +56,93 @@ fn every_shader_is_valid() {
     parsed("raycast.wgsl", &with_imports(RAYCAST));
     parsed("slices.wgsl", &with_imports(SLICES));
     parsed("tests/twins.wgsl", &with_imports(include_str!("shaders/tests/twins.wgsl")));
+    for (name, text) in CELLS {
+        parsed(name, &with_imports(text));
+    }
     let declared = "@group(0) @binding(0) var<storage, read> bank: array<u32>;\n\
                     @group(0) @binding(1) var<storage, read> nodes: array<u32>;\n";
     // Sampling is valid where what it calls is imported, as above.
     for (name, text) in SHARED.iter().filter(|(name, _)| *name != "shared/sampling.wgsl") {
         parsed(name, &format!("{declared}{text}"));
+    }
+}
+
+/// Shaders that draw meshes.
+const CELLS: [(&str, &str); 8] = [
+    ("bin.wgsl", CELL_BIN),
+    ("gradients.wgsl", CELL_GRADIENTS),
+    ("order.wgsl", CELL_ORDER),
+    ("place.wgsl", CELL_PLACE),
+    ("scan.wgsl", CELL_SCAN),
+    ("sort.wgsl", CELL_SORT),
+    ("tiles.wgsl", CELL_TILES),
+    ("values.wgsl", CELL_VALUES),
+];
+
+/// What WebGPU guarantees of a stage: storage buffers, bytes of workgroup memory, and invocations of a workgroup.
+#[test]
+fn shaders_for_meshes_stay_within_what_is_guaranteed() {
+    for (name, text) in CELLS {
+        let module = parsed(name, &with_imports(text));
+        let num_storage = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. }))
+            .count();
+        assert!(num_storage <= 8, "{name}: {num_storage}");
+        let workgroup = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| v.space == naga::AddressSpace::WorkGroup)
+            .map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()))
+            .sum::<u32>();
+        assert!(workgroup <= 16384, "{name}: {workgroup}");
+        for entry in &module.entry_points {
+            assert!(entry.workgroup_size.iter().product::<u32>() <= 256, "{name}");
+        }
+    }
+}
+
+#[test]
+fn structs_of_meshes_are_laid_out_alike() {
+    let [bin, scan, sort, values, gradients] = [CELL_BIN, CELL_SCAN, CELL_SORT, CELL_VALUES, CELL_GRADIENTS]
+        .map(|text| parsed("cells", &with_imports(text)));
+    assert_eq!(
+        layout_in(&bin, "Sight"),
+        layout_of!(SightData {
+            right,
+            right_offset,
+            up,
+            up_offset,
+            forward,
+            depth_offset,
+            eye,
+            scale,
+            middle,
+            least_depth,
+            keys_per_depth,
+            num_points,
+            num_cuts,
+            num_faces,
+            is_perspective,
+            num_columns,
+            num_rows,
+            tiles_across,
+            first_tile_row,
+            num_tile_rows,
+            per_half_longest,
+            first_row,
+            num_all_faces,
+        })
+    );
+    assert_eq!(layout_in(&scan, "Scan"), layout_of!(ScanData { num, part }));
+    assert_eq!(layout_in(&sort, "Digit"), layout_of!(DigitData { num, shift, part, num_parts }));
+    assert_eq!(
+        layout_in(&values, "Values"),
+        layout_of!(ValuesData { first, rest, factor, offset, payload, step, mask })
+    );
+    for module in [&values, &gradients] {
+        assert_eq!(layout_in(module, "Cut"), layout_of!(CutData { ends, weight }));
     }
 }
 

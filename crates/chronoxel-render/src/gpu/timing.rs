@@ -9,7 +9,12 @@ use super::memory::Buffer;
 pub(super) enum Span {
     Decode,
     Render,
+    /// Projecting, sorting and binning.
+    View,
 }
+
+/// Kinds of spans.
+const NUM_KINDS: usize = 3;
 
 /// Times of a picture; what is beyond this number of spans is not timed.
 const MOST_SPANS: u32 = 512;
@@ -69,20 +74,38 @@ impl Timer {
         }
     }
 
-    /// The milliseconds of all spans of each kind since the last call, decoding first; `None` without a clock.
-    pub fn finish(&mut self, device: &Device) -> Result<Option<[f64; 2]>, GpuError> {
+    /// Begins a span in a submission of its own.
+    pub fn begin_alone(&mut self, device: &Device, span: Span) -> Option<u32> {
+        self.clock.as_ref()?;
+        let mut encoder = device.raw.create_command_encoder(&Default::default());
+        let number = self.begin(&mut encoder, span);
+        device.queue.submit([encoder.finish()]);
+        number
+    }
+
+    /// Ends a span in a submission of its own.
+    pub fn end_alone(&mut self, device: &Device, number: Option<u32>) {
+        if number.is_some() {
+            let mut encoder = device.raw.create_command_encoder(&Default::default());
+            self.end(&mut encoder, number);
+            device.queue.submit([encoder.finish()]);
+        }
+    }
+
+    /// The milliseconds of all spans of each kind since the last call, in the order of [`Span`]; `None` without a clock.
+    pub fn finish(&mut self, device: &Device) -> Result<Option<[f64; NUM_KINDS]>, GpuError> {
         let spans = std::mem::take(&mut self.spans);
         let Some(clock) = &self.clock else { return Ok(None) };
         let num = 2 * spans.len() as u32;
         if num == 0 {
-            return Ok(Some([0.0; 2]));
+            return Ok(Some([0.0; NUM_KINDS]));
         }
         let mut encoder = device.raw.create_command_encoder(&Default::default());
         encoder.resolve_query_set(&clock.set, 0..num, &clock.resolved.raw, 0);
         let bytes = 8 * u64::from(num);
         encoder.copy_buffer_to_buffer(&clock.resolved.raw, 0, &clock.read.raw, 0, bytes);
         device.queue.submit([encoder.finish()]);
-        let mut sums = [0.0; 2];
+        let mut sums = [0.0; NUM_KINDS];
         device.read(&clock.read.raw, bytes, |bytes| {
             let ticks: &[u64] = bytemuck::cast_slice(bytes);
             for (span, times) in spans.iter().zip(ticks.chunks_exact(2)) {

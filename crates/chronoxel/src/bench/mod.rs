@@ -3,6 +3,7 @@
 //! A bench gives a [`BenchReport`]: sections of rows, each with what the paper says and what was found here under the same
 //! keys where both have them. What a bench works with lies in a [`Workplace`], which is removed at the end.
 
+pub mod bernardon2006;
 pub mod binotto2003;
 pub mod binotto2003_speed;
 pub mod ellsworth2000;

@@ -117,14 +117,22 @@ impl StepRange {
     /// # Errors
     /// A message if it names none, or one past the last.
     pub fn resolve(self, num_steps: usize) -> anyhow::Result<Vec<usize>> {
+        self.resolve_for("--steps", num_steps)
+    }
+
+    /// As [`Self::resolve`], for an option of another name.
+    ///
+    /// # Errors
+    /// As [`Self::resolve`].
+    pub fn resolve_for(self, option: &str, num_steps: usize) -> anyhow::Result<Vec<usize>> {
         let (start, end) = (self.start.unwrap_or(0), self.end.unwrap_or(num_steps));
         anyhow::ensure!(
             end <= num_steps,
-            "--steps ends at {end}, but the series has {num_steps} steps (0 to {})",
+            "{option} ends at {end}, but the series has {num_steps} steps (0 to {})",
             num_steps.saturating_sub(1)
         );
         let steps: Vec<usize> = (start..end).step_by(self.stride).collect();
-        anyhow::ensure!(!steps.is_empty(), "--steps {start}:{end} names no step of the series' {num_steps}");
+        anyhow::ensure!(!steps.is_empty(), "{option} {start}:{end} names no step of the series' {num_steps}");
         Ok(steps)
     }
 }

@@ -15,8 +15,8 @@ use super::{
 };
 use crate::{
     bench::{
-        BenchReport, Input, Size, Workplace, binotto2003, binotto2003_speed, ellsworth2000, gpu_playback,
-        leven2002, lum2001, lum2001_playback,
+        BenchReport, Input, Size, Workplace, bernardon2006, binotto2003, binotto2003_speed, ellsworth2000,
+        gpu_playback, leven2002, lum2001, lum2001_playback,
     },
     progress::{Counted, Progress},
 };
@@ -31,6 +31,7 @@ use crate::{
   chronoxel bench ellsworth2000 --source 'isabel/*.vti'
   chronoxel bench gpu-playback --size full --memory 16GiB
   chronoxel bench leven2002 --source bluntfinxyz.bin,bluntfinq.bin --variable density
+  chronoxel bench bernardon2006 --source bluntfinxyz.bin,bluntfinq.bin --source spx.vtk --source utah_torso.vtu
 
 Benches:
   lum2001      temporal palettes: errors at 2, 4 and 8 steps in a byte, time to encode, frame rates and the cost of a new step
@@ -45,7 +46,11 @@ Benches:
   gpu-playback playback on a GPU: frame rates, what a step costs and what is uploaded, beside a plain ray caster over one whole texture;
                128 and 256 samples along an edge, 512 and 1024 in full, or any data in their place
   leven2002    octrees over meshes: depth, nodes and bytes, how they fall with the threshold on the field, and a flight at 10 frames per
-               second, also as a plot (figure-15.svg in --out)")]
+               second, also as a plot (figure-15.svg in --out)
+  bernardon2006
+               tetrahedra as they are: bytes and errors of values through time, frame rates with one step and with new ones, level of
+               detail, order of fragments, and the same mesh as bricks (bricks-and-cells.svg in --out). Sources are known by their files'
+               names: spx is cut into eight once and twice and fades, bluntfin fades, torso gets a dipole that turns")]
 pub struct BenchArgs {
     /// The bench, named after the paper
     name: BenchName,
@@ -82,6 +87,8 @@ enum BenchName {
     GpuPlayback,
     /// Interactive visualization of unstructured grids using hierarchical 3D textures (Leven, Corso, Cohen, Kumar, 2002)
     Leven2002,
+    /// Interactive volume rendering of unstructured grids with time-varying scalar fields (Bernardon, Callahan, Comba, Silva, 2006)
+    Bernardon2006,
 }
 
 /// Sizes of the simulations.
@@ -108,8 +115,9 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         BenchName::Ellsworth2000 => ellsworth2000::sources(&args.source, size),
         BenchName::GpuPlayback => args.source.clone(),
         BenchName::Leven2002 => leven2002::sources(&args.source, size),
+        BenchName::Bernardon2006 => bernardon2006::sources(&args.source, size),
     };
-    let are_meshes = args.name == BenchName::Leven2002;
+    let are_meshes = matches!(args.name, BenchName::Leven2002 | BenchName::Bernardon2006);
     let volumes = names.iter().filter(|_| !are_meshes);
     let inputs = volumes.map(|name| open(common, &args.hints, name)).collect::<Result<Vec<_>, _>>()?;
     let parent = match &args.out {
@@ -138,6 +146,10 @@ pub fn run(common: &Common, args: &BenchArgs) -> anyhow::Result<()> {
         BenchName::Leven2002 => {
             let options = args.hints.options(common);
             leven2002::run(&names, &options, size, &place, common.memory.0, &mut progress)?
+        }
+        BenchName::Bernardon2006 => {
+            let options = args.hints.options(common);
+            bernardon2006::run(&names, &options, size, &place, common.memory.0, &mut progress)?
         }
     };
     if let Some(bar) = bar {

@@ -6,8 +6,9 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use chronoxel_ingest::{
-    EncodeReport, MeshSeries, Opened, TimeSeries, VoxelOptions, VoxelReport,
-    encode::{self, Codec, EncodeOptions, encode, encode_mesh},
+    CellOptions, CellReport, EncodeReport, MeshCensus, MeshSeries, Opened, TimeSeries, VoxelOptions,
+    VoxelReport,
+    encode::{self, Codec, EncodeOptions, encode, encode_cells, encode_mesh},
 };
 
 use super::{
@@ -33,7 +34,8 @@ use crate::{
   chronoxel encode 'sim:shockbubble?steps=64' -o shock.cxl --codec vq --window 8
   chronoxel encode 'run/frames_*.vti' -o run.cxl --max-error 0      without loss: integers of up to 16 bits
   chronoxel encode 'run/density_*.vti' -o run.cxl --resume      go on after an interruption
-  chronoxel encode 'wing_*.vtu' -o wing.cxl --max-depth 7 --field-threshold 0.01      a mesh, resampled to bricks")]
+  chronoxel encode 'wing_*.vtu' -o wing.cxl --max-depth 7 --field-threshold 0.01      a mesh, resampled to bricks
+  chronoxel encode 'wing_*.vtu' -o wing.cxl --as cells --max-error 0.001      its tetrahedra as they are")]
 pub struct EncodeArgs {
     #[command(flatten)]
     source: SourceArgs,
@@ -67,6 +69,10 @@ pub struct EncodeArgs {
     /// What a mesh becomes [default: bricks]
     #[arg(long = "as", value_name = "FORM")]
     form: Option<Form>,
+    /// Of cells: entries of each table of the coder, 2 to 1024, more for fields that change much; --max-error takes more where it needs
+    /// them [default: 256]
+    #[arg(long, value_name = "N")]
+    entries: Option<usize>,
     /// Of a mesh: points around which the field differs by more than this share of its range, at any step, get a voxel of their
     /// own [default: 0: wherever it differs]
     #[arg(long, value_name = "E", value_parser = parse_not_negative)]
@@ -102,6 +108,10 @@ enum CodecName {
 enum Form {
     /// An octree of bricks, deeper where the mesh is finer (leven2002)
     Bricks,
+    /// Its tetrahedra as they are, and values at its points in blocks of 64 steps (bernardon2006), for --method cells
+    Cells,
+    /// Bricks, and cells in the same store; the source is read once more for them
+    Both,
 }
 
 fn parse_brick(text: &str) -> Result<usize, String> {
@@ -131,6 +141,9 @@ pub struct EncodeSummary {
     /// What became of a mesh.
     #[serde(skip_serializing_if = "Option::is_none")]
     mesh: Option<VoxelReport>,
+    /// The cells, where the store has any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cells: Option<CellReport>,
 }
 
 /// Runs the verb.
@@ -169,7 +182,7 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
             args.check_no_mesh_options()?;
             encode_series(common, series.as_mut(), &args.output, &options)?
         }
-        Opened::Mesh(mut mesh) => encode_mesh_series(common, mesh.as_mut(), &args.output, &options)?,
+        Opened::Mesh(mut mesh) => args.encode_mesh(common, mesh.as_mut(), &options)?,
     };
     match common.json {
         true => output::json(&summary),
@@ -179,12 +192,68 @@ pub fn run(common: &Common, args: &EncodeArgs) -> anyhow::Result<()> {
 }
 
 impl EncodeArgs {
+    /// Encodes a mesh in the form that was asked for.
+    fn encode_mesh(
+        &self,
+        common: &Common,
+        mesh: &mut dyn MeshSeries,
+        options: &EncodeOptions,
+    ) -> anyhow::Result<EncodeSummary> {
+        let form = self.form.unwrap_or(Form::Bricks);
+        self.check_form(form)?;
+        let entries = self.entries.unwrap_or(CellOptions::default().entries);
+        if form == Form::Cells {
+            let cells = CellOptions { entries, nested: false };
+            let report = encode_cell_series(common, mesh, &self.output, options, &cells)?;
+            return Ok(EncodeSummary::of_cells(&self.output, report));
+        }
+        let mut summary = encode_mesh_series(common, mesh, &self.output, options)?;
+        if form == Form::Both {
+            let cells = CellOptions { entries, nested: true };
+            summary.cells = Some(encode_cell_series(common, mesh, &self.output, options, &cells)?);
+        }
+        Ok(summary)
+    }
+
+    /// Refuses options of another form than that which was asked for.
+    fn check_form(&self, form: Form) -> anyhow::Result<()> {
+        let refuse = |options: &[(bool, &str)], of: &str| match options.iter().find(|(is_given, _)| *is_given)
+        {
+            Some((_, option)) => {
+                let name = format!("{form:?}").to_lowercase();
+                Err(WrongUsage(format!("{option} is of {of}: leave it out with --as {name}")).into())
+            }
+            None => Ok(()),
+        };
+        match form {
+            Form::Bricks => refuse(&[(self.entries.is_some(), "--entries")], "cells"),
+            Form::Cells => {
+                let given = [
+                    (self.codec != CodecName::Auto, "--codec"),
+                    (self.bits.is_some(), "--bits"),
+                    (self.window.is_some(), "--window"),
+                    (self.stages.is_some(), "--stages"),
+                    (self.field_threshold.is_some(), "--field-threshold"),
+                    (self.max_depth.is_some(), "--max-depth"),
+                ];
+                refuse(&given, "bricks")
+            }
+            Form::Both => Ok(()),
+        }
+    }
+
     /// Refuses what only a mesh takes.
     fn check_no_mesh_options(&self) -> anyhow::Result<()> {
+        if matches!(self.form, Some(Form::Cells | Form::Both)) {
+            anyhow::bail!(
+                "--as: the source is a uniform grid: it has no cells to keep, leave --as out for bricks"
+            );
+        }
         let given = [
             (self.form.is_some(), "--as"),
             (self.field_threshold.is_some(), "--field-threshold"),
             (self.max_depth.is_some(), "--max-depth"),
+            (self.entries.is_some(), "--entries"),
         ];
         match given.iter().find(|(is_given, _)| *is_given) {
             Some((_, option)) => {
@@ -231,14 +300,26 @@ fn encode_mesh_series(
     })
 }
 
-/// * `numbers`: of source samples of a variable, and of variables in the source
-fn behind_bar(
+/// Encodes the cells of a mesh behind a progress bar.
+fn encode_cell_series(
     common: &Common,
+    mesh: &mut dyn MeshSeries,
     store: &Path,
     options: &EncodeOptions,
-    [num_samples, num_variables]: [u64; 2],
-    run: impl FnOnce(&mut dyn FnMut(encode::Progress)) -> anyhow::Result<EncodeReport>,
-) -> anyhow::Result<EncodeSummary> {
+    cells: &CellOptions,
+) -> anyhow::Result<CellReport> {
+    let report =
+        with_bar(common, store, |progress| Ok(encode_cells(mesh, store, options, cells, progress)?))?;
+    warn_of_infinite(report.num_infinite);
+    Ok(report)
+}
+
+/// Runs an encoding behind a progress bar, with advice for who interrupts it.
+fn with_bar<R>(
+    common: &Common,
+    store: &Path,
+    run: impl FnOnce(&mut dyn FnMut(encode::Progress)) -> anyhow::Result<R>,
+) -> anyhow::Result<R> {
     if common.memory < TIGHT_MEMORY {
         return_large_blocks();
     }
@@ -256,9 +337,25 @@ fn behind_bar(
     if let Some(bar) = bar {
         bar.finish();
     }
-    if report.num_infinite > 0 {
-        output::warning(&format!("{} infinite samples were masked, as NaN is", report.num_infinite));
+    Ok(report)
+}
+
+fn warn_of_infinite(num_infinite: u64) {
+    if num_infinite > 0 {
+        output::warning(&format!("{num_infinite} infinite samples were masked, as NaN is"));
     }
+}
+
+/// * `numbers`: of source samples of a variable, and of variables in the source
+fn behind_bar(
+    common: &Common,
+    store: &Path,
+    options: &EncodeOptions,
+    [num_samples, num_variables]: [u64; 2],
+    run: impl FnOnce(&mut dyn FnMut(encode::Progress)) -> anyhow::Result<EncodeReport>,
+) -> anyhow::Result<EncodeSummary> {
+    let report = with_bar(common, store, run)?;
+    warn_of_infinite(report.num_infinite);
     let num_variables = match options.variables.len() {
         0 => num_variables,
         n => n as u64,
@@ -280,10 +377,37 @@ fn behind_bar(
         infinite_samples: report.num_infinite,
         threads: rayon::current_num_threads(),
         mesh: report.voxels,
+        cells: None,
     })
 }
 
 impl EncodeSummary {
+    /// Of a store that is cells alone.
+    fn of_cells(store: &Path, report: CellReport) -> Self {
+        let num_steps = (report.steps_read + report.steps_resumed).max(1);
+        let read_bytes = report.raw_bytes as f64 * report.steps_read as f64 / num_steps as f64;
+        let num_values = report.num_points * num_steps as u64;
+        Self {
+            store: store.to_owned(),
+            raw_bytes: report.raw_bytes,
+            stored_bytes: report.stored_bytes,
+            ratio: report.ratio,
+            bits_per_sample: report.stored_bytes as f64 * 8.0
+                / num_values as f64
+                / report.num_variables as f64,
+            wall_secs: report.wall_secs,
+            bytes_per_sec: read_bytes / report.wall_secs,
+            peak_rss_bytes: resource_usage().map(|usage| usage.peak_rss_bytes),
+            steps_read: report.steps_read,
+            steps_resumed: report.steps_resumed,
+            masked_samples: report.num_masked,
+            infinite_samples: report.num_infinite,
+            threads: rayon::current_num_threads(),
+            mesh: None,
+            cells: Some(report),
+        }
+    }
+
     /// One line for people.
     pub fn text(&self) -> String {
         let done = match (self.steps_read, self.steps_resumed) {
@@ -294,7 +418,10 @@ impl EncodeSummary {
                 format!("{read}{more} steps in {secs:.1} s ({rate}/s, {} threads)", self.threads)
             }
         };
-        let mesh = self.mesh.map_or(String::new(), |mesh| format!("\n{}", mesh_text(&mesh)));
+        let mut mesh = self.mesh.map_or(String::new(), |mesh| format!("\n{}", mesh_text(&mesh)));
+        if let Some(cells) = &self.cells {
+            mesh += &format!("\n{}", cells_text(cells));
+        }
         format!(
             "{}: {} of samples in {} ({:.1} : 1, {:.2} bits per sample), {done}{mesh}",
             self.store.display(),
@@ -324,6 +451,28 @@ fn mesh_text(mesh: &VoxelReport) -> String {
             mesh.num_cut_off, mesh.max_depth
         );
     }
+    text + &left_out_text(census)
+}
+
+/// What became of the cells of a mesh, for people.
+fn cells_text(cells: &CellReport) -> String {
+    let text = format!(
+        "{} tetrahedra and {} points as cells in {}: {} of them geometry ({:.1} : 1 without it, {:.1} : 1 by the \
+         formula of bernardon2006), {} spans, in {:.1} s",
+        cells.num_tetrahedra,
+        cells.num_points,
+        ByteSize(cells.stored_bytes),
+        ByteSize(cells.totals.geometry_bytes),
+        cells.raw_bytes as f64 / cells.totals.data_bytes as f64,
+        cells.paper_ratio,
+        cells.totals.spans,
+        cells.wall_secs,
+    );
+    text + &left_out_text(&cells.census)
+}
+
+fn left_out_text(census: &MeshCensus) -> String {
+    let mut text = String::new();
     let left_out = [
         (census.num_flat, "flat tetrahedra"),
         (census.num_blanked, "blanked cells"),

@@ -6,9 +6,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use chronoxel_codec::{PayloadClass, paper_ratio};
 use chronoxel_core::{Samples, TimeAxis, UniformGrid, time_tree::num_time_levels};
 use chronoxel_ingest::{MeshCensus, MeshSeries, Opened, TimeSeries, Variable};
-use chronoxel_store::{Header, Store};
+use chronoxel_store::{CellClass, CellStore, Header, Store};
 
 use super::{
     args::{Common, SourceArgs},
@@ -87,6 +88,95 @@ fn store_grid_json(header: &Header) -> Value {
 }
 
 fn store_report(path: &Path) -> anyhow::Result<InfoReport> {
+    let cells = CellStore::find(path).map(|_| CellStore::open(path)).transpose()?;
+    match cells {
+        Some(cells) if cells.path() == path => cell_report(&cells),
+        cells => {
+            let mut report = brick_report(path)?;
+            if let Some(cells) = cells {
+                report.store.insert("cells".to_owned(), cells_json(&cells)?);
+            }
+            Ok(report)
+        }
+    }
+}
+
+/// What a store of cells holds besides its variables.
+fn cells_json(store: &CellStore) -> anyhow::Result<Value> {
+    let header = store.header();
+    let totals = &header.totals;
+    let stored_bytes = store.stored_bytes()?;
+    let finished = header.num_steps_finished as usize;
+    let raw_bytes = header.raw_bytes() / u64::from(header.num_steps().max(1)) * finished as u64;
+    let entries = header.encoder["entries"].as_u64().unwrap_or(256);
+    Ok(json!({
+        "num_points": header.num_points,
+        "num_tetrahedra": header.num_tetrahedra,
+        "num_steps_finished": finished,
+        "complete": store.is_complete(),
+        "entries": entries,
+        "max_error": header.encoder.get("max_error"),
+        "spans": totals.spans,
+        "masked": totals.masked,
+        "raw_bytes": raw_bytes,
+        "stored_bytes": stored_bytes,
+        "geometry_bytes": totals.geometry_bytes,
+        "data_bytes": totals.data_bytes,
+        "ratio": raw_bytes as f64 / stored_bytes.max(1) as f64,
+        "data_ratio": raw_bytes as f64 / totals.data_bytes.max(1) as f64,
+        "paper_ratio": paper_ratio(header.num_points as usize, header.times.num_steps(), entries as usize),
+    }))
+}
+
+fn cell_report(store: &CellStore) -> anyhow::Result<InfoReport> {
+    let header = store.header();
+    let [low, high] = header.bounds;
+    let variables = header.variables.iter().map(|v| {
+        let form = |class: &CellClass| {
+            let stages = PayloadClass { stages: class.stages.clone() };
+            format!("{stages}, {} steps", class.window)
+        };
+        let entry = json!({
+            "min": v.min,
+            "max": v.max,
+            "units": v.units,
+            "sample_type": v.sample_type,
+            "fill_value": v.fill_value,
+            "codec": "cells",
+            "payload_classes": v.classes.iter().map(form).collect::<Vec<_>>(),
+        });
+        (v.name.clone(), entry)
+    });
+    let cells = cells_json(store)?;
+    let mut fields: Map<String, Value> = ["num_steps_finished", "complete", "stored_bytes", "ratio"]
+        .map(|key| (key.to_owned(), cells[key].clone()))
+        .into_iter()
+        .collect();
+    let raw_bytes = cells["raw_bytes"].as_u64().unwrap_or(0);
+    fields.insert("format_version".to_owned(), header.version.into());
+    fields.insert("encoder".to_owned(), header.encoder.clone());
+    fields.insert("cells".to_owned(), cells);
+    Ok(InfoReport {
+        kind: "store",
+        grid: json!({
+            "type": header.kind,
+            "dims": Value::Null,
+            "spacing": Value::Null,
+            "origin": Value::Null,
+            "num_cells": header.num_tetrahedra,
+            "num_points": header.num_points,
+            "bounds": [low, high],
+        }),
+        num_steps: header.times.num_steps(),
+        times: header.times.times.clone(),
+        time_units: header.times.units.clone(),
+        variables: variables.collect(),
+        raw_bytes,
+        store: fields,
+    })
+}
+
+fn brick_report(path: &Path) -> anyhow::Result<InfoReport> {
     let store = Store::open(path)?;
     let header = store.header();
     let variables = header.variables.iter().map(|v| {
@@ -312,12 +402,14 @@ fn is_even(times: &[f64]) -> bool {
 /// Samples that are read at once.
 const SLAB_SAMPLES: usize = 1 << 22;
 
+/// A corner of the bounds of a mesh.
+fn corner(report: &InfoReport, side: usize) -> String {
+    let values = report.grid["bounds"][side].as_array().into_iter().flatten();
+    values.filter_map(Value::as_f64).map(output::number).collect::<Vec<_>>().join(", ")
+}
+
 /// What a mesh consists of, and what was left out; counts of nothing are not shown.
 fn mesh_lines(report: &InfoReport) -> Vec<String> {
-    let corner = |side: usize| {
-        let values = report.grid["bounds"][side].as_array().into_iter().flatten();
-        values.filter_map(Value::as_f64).map(output::number).collect::<Vec<_>>().join(", ")
-    };
     let counts = |part: &str, names: &[&str]| {
         let counted = names.iter().filter_map(|name| Some((name, report.grid[part][name].as_u64()?)));
         let shown = counted.filter(|(_, count)| *count > 0);
@@ -329,7 +421,13 @@ fn mesh_lines(report: &InfoReport) -> Vec<String> {
     let kinds = ["tetrahedra", "hexahedra", "wedges", "pyramids", "without_volume"];
     let volume = report.grid["tetrahedra"]["volume"].as_f64().unwrap_or_default();
     let mut lines = vec![
-        format!("{:<10} {} from ({}) to ({})", "points", report.grid["num_points"], corner(0), corner(1)),
+        format!(
+            "{:<10} {} from ({}) to ({})",
+            "points",
+            report.grid["num_points"],
+            corner(report, 0),
+            corner(report, 1)
+        ),
         format!("{:<10} {}: {}", "cells", report.grid["num_cells"], counts("cells", &kinds)),
         format!(
             "{:<10} {}; volume {}",
@@ -357,14 +455,15 @@ fn text(report: &InfoReport) -> String {
     let grid_type = report.grid["type"].as_str().unwrap_or_default();
     let mut lines =
         vec![format!("{:<10} {grid_type} {}", report.kind, numbers("dims")).trim_end().to_owned()];
-    match report.grid.get("tetrahedra") {
-        Some(_) => lines.extend(mesh_lines(report)),
-        None => lines.push(format!(
+    match (report.grid.get("tetrahedra"), report.store.get("brick").or(report.grid["spacing"].get(0))) {
+        (Some(_), _) => lines.extend(mesh_lines(report)),
+        (None, Some(_)) => lines.push(format!(
             "{:<10} {}  origin {}",
             "spacing",
             numbers("spacing"),
             numbers("origin").replace(" x ", ", ")
         )),
+        (None, None) => lines.push(bounds_line(report)),
     }
     lines.extend([
         format!(
@@ -380,27 +479,12 @@ fn text(report: &InfoReport) -> String {
     if let Some(stored) = report.store.get("stored_bytes").and_then(Value::as_u64) {
         let ratio = report.store["ratio"].as_f64().unwrap_or_default();
         lines.push(format!("{:<10} {} ({ratio:.1} : 1)", "stored", ByteSize(stored)));
-        lines.push(format!(
-            "{:<10} {} levels of bricks with {} samples an edge",
-            "tree", report.store["num_levels"], report.store["brick"]["edge"]
-        ));
-        lines.push(match &report.store["time_tree"] {
-            Value::Null => format!("{:<10} none: metrics and tolerances cannot be used", "time tree"),
-            tree => format!(
-                "{:<10} {} levels of statistics; temporal errors of every {}sample",
-                "time tree",
-                tree["levels"],
-                match tree["stride"].as_u64() {
-                    Some(stride @ 2..) => format!("{stride}{} ", if stride == 2 { "nd" } else { "th" }),
-                    _ => String::new(),
-                }
-            ),
-        });
-        let payloads = &report.store["payloads"];
-        lines.push(format!(
-            "{:<10} {} coded, {} shared, {} constant, {} empty",
-            "payloads", payloads["coded"], payloads["shared"], payloads["constant"], payloads["empty"]
-        ));
+        if report.store.contains_key("brick") {
+            lines.extend(brick_lines(report));
+        }
+        if let Some(cells) = report.store.get("cells") {
+            lines.extend(cell_lines(cells));
+        }
         if report.store["complete"] == false {
             let finished = &report.store["num_steps_finished"];
             lines.push(format!("unfinished: {finished} steps can be read; encode --resume goes on"));
@@ -422,6 +506,69 @@ fn text(report: &InfoReport) -> String {
     });
     lines.push(output::table(&std::iter::once(heading).chain(rows).collect::<Vec<_>>()));
     lines.join("\n")
+}
+
+/// Where the points lie.
+fn bounds_line(report: &InfoReport) -> String {
+    format!(
+        "{:<10} {} from ({}) to ({})",
+        "points",
+        report.grid["num_points"],
+        corner(report, 0),
+        corner(report, 1)
+    )
+}
+
+/// What a store of bricks is made of.
+fn brick_lines(report: &InfoReport) -> Vec<String> {
+    let payloads = &report.store["payloads"];
+    vec![
+        format!(
+            "{:<10} {} levels of bricks with {} samples an edge",
+            "tree", report.store["num_levels"], report.store["brick"]["edge"]
+        ),
+        match &report.store["time_tree"] {
+            Value::Null => format!("{:<10} none: metrics and tolerances cannot be used", "time tree"),
+            tree => format!(
+                "{:<10} {} levels of statistics; temporal errors of every {}sample",
+                "time tree",
+                tree["levels"],
+                match tree["stride"].as_u64() {
+                    Some(stride @ 2..) => format!("{stride}{} ", if stride == 2 { "nd" } else { "th" }),
+                    _ => String::new(),
+                }
+            ),
+        },
+        format!(
+            "{:<10} {} coded, {} shared, {} constant, {} empty",
+            "payloads", payloads["coded"], payloads["shared"], payloads["constant"], payloads["empty"]
+        ),
+    ]
+}
+
+/// What its cells are made of.
+fn cell_lines(cells: &Value) -> Vec<String> {
+    let bytes = |key: &str| ByteSize(cells[key].as_u64().unwrap_or(0));
+    let ratio = |key: &str| cells[key].as_f64().unwrap_or_default();
+    let unfinished = match cells["complete"] == false {
+        true => format!("; {} steps are finished", cells["num_steps_finished"]),
+        false => String::new(),
+    };
+    vec![
+        format!(
+            "{:<10} {} tetrahedra, {} points, {} spans of tables with {} entries{unfinished}",
+            "cells", cells["num_tetrahedra"], cells["num_points"], cells["spans"], cells["entries"]
+        ),
+        format!(
+            "{:<10} {} of {} ({:.1} : 1), and {} of geometry; {:.1} : 1 by the formula of bernardon2006",
+            "",
+            bytes("data_bytes"),
+            bytes("raw_bytes"),
+            ratio("data_ratio"),
+            bytes("geometry_bytes"),
+            ratio("paper_ratio")
+        ),
+    ]
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 mod args;
 mod bench;
+mod cells;
 mod compare;
 mod demo;
 mod encode;
@@ -17,7 +18,7 @@ mod view;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use chronoxel_store::Store;
+use chronoxel_store::{CellStore, Store};
 use clap::{Parser, Subcommand};
 
 use args::Common;
@@ -104,6 +105,16 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
 
 /// The index of a variable of a store by its name, 0 where none is given.
 fn variable_index(store: &Store, name: Option<&str>) -> anyhow::Result<usize> {
+    let Some(name) = name else { return Ok(0) };
+    let header = store.header();
+    header.variable(name).with_context(|| {
+        let names: Vec<&str> = header.variables.iter().map(|v| v.name.as_str()).collect();
+        format!("{}: no variable {name:?}; it has {}", store.path().display(), names.join(", "))
+    })
+}
+
+/// The index of a variable of a store of cells by its name, 0 where none is given.
+fn cell_variable_index(store: &CellStore, name: Option<&str>) -> anyhow::Result<usize> {
     let Some(name) = name else { return Ok(0) };
     let header = store.header();
     header.variable(name).with_context(|| {

@@ -6,9 +6,11 @@ use clap::{Args, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 
 use super::{
+    WrongUsage,
     args::{Common, StepRange, parse_finite},
+    cells::{CellReport, ChosenMethod, legend},
     output,
-    view::{ViewArgs, parse_fps},
+    view::{Method, ViewArgs, parse_fps},
 };
 use crate::{
     bytes::ByteSize,
@@ -58,8 +60,13 @@ pub struct MovieReport {
     size: [usize; 2],
     fps: f64,
     wall_secs: f64,
+    method: &'static str,
+    method_reason: &'static str,
     backend: &'static str,
     adapter: String,
+    /// Where cells were drawn, over all frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cells: Option<CellReport>,
     warnings: Vec<String>,
 }
 
@@ -70,8 +77,13 @@ pub fn run(common: &Common, args: &MovieArgs) -> anyhow::Result<()> {
         true => output::json(&report),
         false if common.quiet => Ok(()),
         false => output::line(&format!(
-            "{}: {} pictures of {}x{} in {:.1} s",
-            report.output, report.frames, report.size[0], report.size[1], report.wall_secs
+            "{}: {} pictures of {}x{} in {:.1} s{}",
+            report.output,
+            report.frames,
+            report.size[0],
+            report.size[1],
+            report.wall_secs,
+            if report.cells.is_some() { ", as cells" } else { "" }
         )),
     }
 }
@@ -83,6 +95,10 @@ impl MovieArgs {
     /// Whatever keeps it from being drawn or written.
     pub fn make(&self, common: &Common) -> anyhow::Result<MovieReport> {
         let start = std::time::Instant::now();
+        let method = self.view.choose_method(&self.store)?;
+        if method.method == Method::Cells {
+            return self.make_of_cells(common, method, start);
+        }
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
         session.keep_images(self.image_cache.0);
         let header = session.store().header().clone();
@@ -128,8 +144,66 @@ impl MovieArgs {
             size: self.view.size,
             fps: self.fps,
             wall_secs: start.elapsed().as_secs_f64(),
+            method: method.name,
+            method_reason: method.reason,
             backend: backend.name,
             adapter: backend.adapter,
+            cells: None,
+            warnings,
+        })
+    }
+
+    fn make_of_cells(
+        &self,
+        common: &Common,
+        method: ChosenMethod,
+        start: std::time::Instant,
+    ) -> anyhow::Result<MovieReport> {
+        if self.image_cache.0 > 0 {
+            let text = "--image-cache is for bricks: leave it out with --method cells";
+            return Err(WrongUsage(text.into()).into());
+        }
+        let (mut session, backend, mut cells) = self.view.open_cells(&self.store, common, false)?;
+        let times = session.store().header().times.clone();
+        let num_finished = session.store().header().num_steps_finished as usize;
+        let steps = match self.steps {
+            Some(range) => range.resolve(num_finished)?,
+            None => (0..num_finished).collect(),
+        };
+        let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
+        let options = MovieOptions { size: self.view.size, fps: self.fps, num_frames };
+        let mut shot = self.view.cell_shot(&session)?;
+        let mut sink = movie::create(&self.output, options)?;
+        let bar =
+            Progress::new("movie", num_frames as u64, Counted::Items("frames"), common.quiet || common.json);
+        for frame in 0..num_frames {
+            interrupt::check()?;
+            let step = steps[frame * steps.len() / num_frames];
+            if self.orbit != 0.0 {
+                let turn = self.orbit * frame as f64 / num_frames as f64;
+                shot.camera = self.view.camera.around(session.bounds(), shot.size, turn)?;
+            }
+            let picture = session.draw(&shot, step)?;
+            cells.add(&picture, session.detail());
+            let image = self.view.show_with(&legend(&session, &shot), &picture.image, Moment::at(step))?;
+            sink.write_frame(&Frame { image: &image, step, time: times.times[step] })?;
+            bar.advance(1);
+        }
+        sink.finish()?;
+        bar.finish();
+        let warnings: Vec<String> = cells.warning().into_iter().collect();
+        warnings.iter().for_each(|warning| output::warning(warning));
+        Ok(MovieReport {
+            output: self.output.clone(),
+            frames: num_frames,
+            size: self.view.size,
+            fps: self.fps,
+            wall_secs: start.elapsed().as_secs_f64(),
+            method: method.name,
+            method_reason: method.reason,
+            backend: backend.name,
+            adapter: backend.adapter,
+            cells: Some(cells),
             warnings,
         })
     }

@@ -1,5 +1,7 @@
 //! `play`: steps drawn as fast as they come, headless, and what it took.
 
+mod cells;
+
 use std::{
     io::Write,
     path::PathBuf,
@@ -10,13 +12,14 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use chronoxel_core::UniformGrid;
+use chronoxel_core::Camera;
 use chronoxel_render::ReadBack;
 
 use super::{
     args::{Common, StepRange, parse_finite},
+    cells::CellReport,
     output,
-    view::{Switch, ViewArgs, parse_fps},
+    view::{Method, Switch, ViewArgs, parse_fps},
 };
 use crate::{
     bytes::ByteSize,
@@ -34,6 +37,7 @@ use crate::{
   chronoxel play run.cxl --memory 512MiB --frames 400 --reverse                 larger than memory, backwards
   chronoxel play run.cxl --target-fps 20 --path flight.json --late drop         at 20 frames per second
   chronoxel play run.cxl --temporal-tolerance 0.02 --image-cache 256MiB
+  chronoxel play mesh.cxl --method cells --lod 0.25 --frames 200 --orbit 360
   chronoxel play run.cxl --lighting off --tf sparse --json --csv frames.csv")]
 pub struct PlayArgs {
     /// The store
@@ -50,7 +54,7 @@ pub struct PlayArgs {
     /// Play backwards
     #[arg(long)]
     reverse: bool,
-    /// Hold this frame rate, by drawing coarser bricks where need be [default: full quality, as fast as it comes]
+    /// Hold this frame rate, by drawing coarser bricks or fewer faces where need be [default: full quality, as fast as it comes]
     #[arg(long, value_name = "F", value_parser = parse_fps)]
     target_fps: Option<f64>,
     /// What to do about a step whose data is not there in time
@@ -115,6 +119,8 @@ struct FrameTime {
 
 #[derive(Serialize)]
 struct PlayReport {
+    method: &'static str,
+    method_reason: &'static str,
     backend: &'static str,
     adapter: String,
     backend_reason: String,
@@ -153,6 +159,9 @@ struct PlayReport {
     gpu_bytes_peak: u64,
     mean_pixels_per_voxel: f64,
     size: [usize; 2],
+    /// Where cells were drawn, over all frames: then samples are their fragments and nodes their faces.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cells: Option<CellReport>,
     warnings: Vec<String>,
 }
 
@@ -188,17 +197,14 @@ pub fn run(common: &Common, args: &PlayArgs) -> anyhow::Result<()> {
 
 impl PlayArgs {
     fn play(&self, common: &Common) -> anyhow::Result<PlayReport> {
+        let method = self.view.choose_method(&self.store)?;
+        if method.method == Method::Cells {
+            return self.play_cells(common, method);
+        }
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
         session.keep_images(self.image_cache.0);
-        let grid = session.store().header().grid;
-        let num_finished = session.store().header().num_steps_finished as usize;
-        let mut steps = match self.steps {
-            Some(range) => range.resolve(num_finished)?,
-            None => (0..num_finished).collect(),
-        };
-        if self.reverse {
-            steps.reverse();
-        }
+        let bounds = session.store().header().grid.bounds();
+        let steps = self.order_of_steps(session.store().header().num_steps_finished as usize)?;
         let num_frames = self.frames.map_or(steps.len(), |n| n as usize);
         let view = self.view.view(&session)?;
         let backend = self.view.choose_backend(&mut session)?;
@@ -208,7 +214,7 @@ impl PlayArgs {
         );
         let cameras = match &self.path {
             Some(path) => Cameras::Path(CameraPath::read(path)?),
-            None if self.orbit != 0.0 => Cameras::Orbit(self, grid),
+            None if self.orbit != 0.0 => Cameras::Orbit(self, bounds),
             None => Cameras::Still,
         };
         let order = steps.iter().map(|step| *step as u32).collect();
@@ -250,6 +256,8 @@ impl PlayArgs {
             write_csv(path, &frames).with_context(|| format!("{}: cannot write", path.display()))?;
         }
         Ok(PlayReport {
+            method: method.name,
+            method_reason: method.reason,
             backend: backend.name,
             adapter: backend.adapter,
             backend_reason: backend.reason,
@@ -268,26 +276,48 @@ impl PlayArgs {
 /// Cameras of the frames.
 enum Cameras<'a> {
     Still,
-    Orbit(&'a PlayArgs, UniformGrid),
+    Orbit(&'a PlayArgs, [[f64; 3]; 2]),
     Path(CameraPath),
 }
 
 impl Cameras<'_> {
     /// The view of a frame.
     fn view(&self, view: &View, frame: usize, num_frames: usize) -> anyhow::Result<View> {
-        let camera = match self {
-            Self::Still => view.camera,
-            Self::Orbit(args, grid) => {
+        Ok(View { camera: self.camera(view.camera, view.size, frame, num_frames)?, ..view.clone() })
+    }
+
+    /// The camera of a frame.
+    fn camera(
+        &self,
+        still: Camera,
+        size: [usize; 2],
+        frame: usize,
+        num_frames: usize,
+    ) -> anyhow::Result<Camera> {
+        match self {
+            Self::Still => Ok(still),
+            Self::Orbit(args, bounds) => {
                 let turn = args.orbit * frame as f64 / num_frames as f64;
-                args.view.camera.turned(grid, view.size, turn)?
+                args.view.camera.around(*bounds, size, turn)
             }
-            Self::Path(path) => path.camera(frame as f64 / (num_frames - 1).max(1) as f64)?,
-        };
-        Ok(View { camera, ..view.clone() })
+            Self::Path(path) => path.camera(frame as f64 / (num_frames - 1).max(1) as f64),
+        }
     }
 }
 
 impl PlayArgs {
+    /// The steps in the order of play.
+    fn order_of_steps(&self, num_finished: usize) -> anyhow::Result<Vec<usize>> {
+        let mut steps = match self.steps {
+            Some(range) => range.resolve(num_finished)?,
+            None => (0..num_finished).collect(),
+        };
+        if self.reverse {
+            steps.reverse();
+        }
+        Ok(steps)
+    }
+
     /// Plays the next frame; also gives its place.
     fn timed_frame(
         &self,
@@ -388,6 +418,8 @@ impl PlayReport {
         let (frame_ms, samples) = (sum(|f| f.frame_ms), sum(|f| f.samples as f64));
         let rates: Vec<f64> = frames.iter().map(|f| 1e3 / f.frame_ms).collect();
         Self {
+            method: "",
+            method_reason: "",
             backend: "",
             adapter: String::new(),
             backend_reason: String::new(),
@@ -424,6 +456,7 @@ impl PlayReport {
             gpu_bytes_peak: frames.iter().map(|f| f.gpu_bytes_peak).max().unwrap_or(0),
             mean_pixels_per_voxel: sum(|f| f.pixels_per_voxel) / frames.len() as f64,
             size: [0; 2],
+            cells: None,
             warnings: Vec::new(),
         }
     }
@@ -453,9 +486,10 @@ impl PlayReport {
             times("  drawing", &self.render_ms),
             times("CPU time", &self.cpu_ms),
         ];
+        let samples = if self.cells.is_some() { "fragments" } else { "samples" };
         format!(
             "{} frames of {}x{} on {} ({}): {:.1} frames per second\n{}\n\
-             {:.1} million samples per frame, {:.0} million per second; {} read; cache: {} hits, {} misses",
+             {:.1} million {samples} per frame, {:.0} million per second; {} read; cache: {} hits, {} misses",
             self.frames,
             self.size[0],
             self.size[1],
@@ -470,6 +504,7 @@ impl PlayReport {
             self.cache.misses
         ) + &self.images_text()
             + &self.late_text()
+            + &self.cells.as_ref().map_or(String::new(), |cells| format!("\nall frames: {}", cells.text()))
     }
 
     fn late_text(&self) -> String {

@@ -1,6 +1,6 @@
 //! `render`: one picture.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Instant};
 
 use chronoxel_stream::Shares;
 use clap::Args;
@@ -8,8 +8,9 @@ use serde::Serialize;
 
 use super::{
     args::Common,
+    cells::{CellReport, ChosenMethod, legend},
     output,
-    view::{StepArgs, ViewArgs},
+    view::{Method, StepArgs, ViewArgs},
 };
 use crate::{
     movie::write_png,
@@ -24,6 +25,7 @@ use crate::{
   chronoxel render run.cxl --time 3.72 --blend-steps -o between.png
   chronoxel render run.cxl --azimuth 120 --elevation 45 --zoom 2 --size 1920x1080 -o picture.png
   chronoxel render run.cxl -t 12 --spatial-tolerance 0.05 --temporal-tolerance 0.02 -v -o quick.png
+  chronoxel render mesh.cxl --method cells --k 16 -v -o tetrahedra.png
   chronoxel render run.cxl --tf function.json --background white --lighting off -o figure.png")]
 pub struct RenderArgs {
     /// The store
@@ -40,6 +42,8 @@ pub struct RenderArgs {
 /// What was drawn, and what it took.
 #[derive(Serialize)]
 pub struct RenderReport {
+    method: &'static str,
+    method_reason: &'static str,
     backend: &'static str,
     adapter: String,
     backend_reason: String,
@@ -55,6 +59,9 @@ pub struct RenderReport {
     time: f64,
     time_units: String,
     level: u8,
+    /// Where cells were drawn: then samples are their fragments.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cells: Option<CellReport>,
     warnings: Vec<String>,
 }
 
@@ -107,12 +114,16 @@ impl RenderArgs {
     /// # Errors
     /// Whatever keeps it from being drawn or written.
     pub fn make(&self, common: &Common) -> anyhow::Result<RenderReport> {
-        let start = std::time::Instant::now();
+        let start = Instant::now();
         anyhow::ensure!(
             self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")),
             "{}: pictures are written as PNG; use a name that ends in .png",
             self.output.display()
         );
+        let method = self.view.choose_method(&self.store)?;
+        if method.method == Method::Cells {
+            return self.make_of_cells(common, method, start);
+        }
         let mut session = Session::open(&self.store, self.view.variable.as_deref(), common.memory.0)?;
         let moment = self.step.resolve(&session)?;
         let view = self.view.view(&session)?;
@@ -123,6 +134,8 @@ impl RenderArgs {
 
         let header = session.store().header();
         Ok(RenderReport {
+            method: method.name,
+            method_reason: method.reason,
             backend: backend.name,
             adapter: backend.adapter,
             backend_reason: backend.reason,
@@ -138,7 +151,47 @@ impl RenderArgs {
             time: moment.time(&header.times.times),
             time_units: header.times.units.clone(),
             level: view.level,
+            cells: None,
             warnings: picture.warnings,
+        })
+    }
+
+    fn make_of_cells(
+        &self,
+        common: &Common,
+        method: ChosenMethod,
+        start: Instant,
+    ) -> anyhow::Result<RenderReport> {
+        let (mut session, backend, mut cells) = self.view.open_cells(&self.store, common, false)?;
+        let store = std::sync::Arc::clone(session.store());
+        let header = store.header();
+        let moment = self.step.among(&self.store, &header.times, header.num_steps_finished as usize)?;
+        let shot = self.view.cell_shot(&session)?;
+        let picture = session.draw_moment(&shot, moment)?;
+        cells.add(&picture, session.detail());
+        let warnings: Vec<String> = cells.warning().into_iter().collect();
+        warnings.iter().for_each(|warning| output::warning(warning));
+        write_png(&self.output, &self.view.show_with(&legend(&session, &shot), &picture.image, moment)?)?;
+        Ok(RenderReport {
+            method: method.name,
+            method_reason: method.reason,
+            backend: backend.name,
+            adapter: backend.adapter,
+            backend_reason: backend.reason,
+            wall_secs: start.elapsed().as_secs_f64(),
+            fetch_ms: picture.fetch_ms,
+            render_ms: picture.render_ms,
+            samples: cells.num_fragments(),
+            bricks: BrickCounts::default().into(),
+            samples_of_grid: Shares::default().into(),
+            opacity_unit: shot.opacity_unit,
+            size: shot.size,
+            step: moment.step,
+            time: moment.time(&header.times.times),
+            time_units: header.times.units.clone(),
+            level: 0,
+            cells: Some(cells),
+            warnings,
         })
     }
 }
@@ -146,8 +199,13 @@ impl RenderArgs {
 impl RenderReport {
     fn text(&self, path: &std::path::Path, verbose: bool) -> String {
         let time = format!("t = {} {}", output::number(self.time), self.time_units);
+        // What was not asked for is said in any case.
+        let method = match self.cells.is_some() && self.method_reason != "asked for" {
+            true => ", as cells",
+            false => "",
+        };
         let line = format!(
-            "{}: step {}, {}, {:.0} ms",
+            "{}: step {}, {}, {:.0} ms{method}",
             path.display(),
             self.step,
             time.trim_end(),
@@ -155,6 +213,20 @@ impl RenderReport {
         );
         if !verbose {
             return line;
+        }
+        if let Some(cells) = &self.cells {
+            return format!(
+                "{line}\n  method cells ({}); back end {} ({}): {}\n  reading {:.1} ms, drawing {:.1} ms\n  {}\n  \
+                 opacities are those of a path of {} world units",
+                self.method_reason,
+                self.backend,
+                self.adapter,
+                self.backend_reason,
+                self.fetch_ms,
+                self.render_ms,
+                cells.text(),
+                self.opacity_unit
+            );
         }
         let b = &self.bricks;
         format!(

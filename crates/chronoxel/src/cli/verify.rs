@@ -1,13 +1,16 @@
 //! `verify`: whether a store is sound, and how far it is from its source.
 
-use std::{path::PathBuf, sync::OnceLock};
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 use clap::{Args, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use chronoxel_ingest::{Measurement, Opened, measure, measure_mesh};
-use chronoxel_store::{Store, verify};
+use chronoxel_ingest::{Measurement, Opened, VariableErrors, measure, measure_cells, measure_mesh};
+use chronoxel_store::{CellStore, Store, verify, verify_cells};
 
 use super::{
     args::{Common, SourceHints, StepRange},
@@ -34,24 +37,42 @@ pub struct VerifyArgs {
 }
 
 /// What was found.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct VerifyReport {
     /// Whether there is no problem.
     pub ok: bool,
     problems: Vec<String>,
     variables: Map<String, Value>,
+    /// Errors of the cells, by variable.
+    #[serde(skip_serializing_if = "Map::is_empty")]
+    cells: Map<String, Value>,
 }
 
 /// Runs the verb.
 pub fn run(common: &Common, args: &VerifyArgs) -> anyhow::Result<()> {
-    let store = Store::open(&args.store)?;
-    let mut report = check(common, &store)?;
-    if !args.against.is_empty() {
-        measure_against(common, &store, args, &mut report)?;
+    let cells = CellStore::find(&args.store).map(|_| CellStore::open(&args.store)).transpose()?;
+    let mut report = match &cells {
+        // A store of nothing but cells.
+        Some(cells) if cells.path() == args.store => VerifyReport::default(),
+        _ => {
+            let store = Store::open(&args.store)?;
+            let mut report = check(common, &store)?;
+            if !args.against.is_empty() {
+                measure_against(common, &store, args, &mut report)?;
+            }
+            report
+        }
+    };
+    if let Some(cells) = &cells {
+        report.problems.extend(check_cells(common, cells));
+        if !args.against.is_empty() {
+            measure_cells_against(common, cells, args, &mut report)?;
+        }
     }
+    report.ok = report.problems.is_empty();
     match common.json {
         true => output::json(&report)?,
-        false => output::line(&report.text(&store))?,
+        false => output::line(&report.text(&args.store))?,
     }
     anyhow::ensure!(report.ok, "{}: {} problems found", args.store.display(), report.problems.len());
     Ok(())
@@ -59,8 +80,21 @@ pub fn run(common: &Common, args: &VerifyArgs) -> anyhow::Result<()> {
 
 /// Checks every checksum and invariant.
 pub fn check(common: &Common, store: &Store) -> anyhow::Result<VerifyReport> {
+    let problems = problems_of(common, |progress| verify(store, progress));
+    Ok(VerifyReport { ok: problems.is_empty(), problems, ..VerifyReport::default() })
+}
+
+fn check_cells(common: &Common, store: &CellStore) -> Vec<String> {
+    problems_of(common, |progress| verify_cells(store, progress))
+}
+
+/// What a verification finds, behind a progress bar.
+fn problems_of(
+    common: &Common,
+    verify: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> chronoxel_store::VerifyReport,
+) -> Vec<String> {
     let bar: OnceLock<Progress> = OnceLock::new();
-    let found = verify(store, &|done, total| {
+    let found = verify(&|done, total| {
         let quiet = common.quiet || common.json;
         bar.get_or_init(|| Progress::new("verify", total, Counted::Items("parts"), quiet)).set(done);
     });
@@ -71,7 +105,37 @@ pub fn check(common: &Common, store: &Store) -> anyhow::Result<VerifyReport> {
     if found.num_problems > problems.len() as u64 {
         problems.push(format!("and {} more", found.num_problems - problems.len() as u64));
     }
-    Ok(VerifyReport { ok: problems.is_empty(), problems, variables: Map::new() })
+    problems
+}
+
+fn measure_cells_against(
+    common: &Common,
+    store: &CellStore,
+    args: &VerifyArgs,
+    report: &mut VerifyReport,
+) -> anyhow::Result<()> {
+    let Opened::Mesh(mut mesh) = args.hints.open_any(common, &args.against)? else {
+        anyhow::bail!(
+            "--against: the source is a uniform grid, which the cells of this store are not made of"
+        );
+    };
+    let num_finished = store.header().num_steps_finished as usize;
+    let steps = match args.steps {
+        Some(range) => range.resolve(num_finished)?,
+        None => (0..num_finished).collect(),
+    };
+    let bar = measure_bar(common, &steps);
+    let found = measure_cells(store, mesh.as_mut(), steps.iter().copied().inspect(|_| bar.advance(1)))?;
+    bar.finish();
+    for of_variable in found.variables {
+        let mut entry = errors_json(&of_variable.errors);
+        let finite = |snr: f64| Some(snr).filter(|snr| snr.is_finite());
+        entry["snr_db"] = of_variable.snr_db.iter().map(|&snr| finite(snr)).collect::<Vec<_>>().into();
+        entry["mse_per_step"] = of_variable.errors.mse.clone().into();
+        report.cells.insert(of_variable.errors.name, entry);
+    }
+    report.problems.extend(found.problems);
+    Ok(())
 }
 
 fn measure_against(
@@ -120,17 +184,21 @@ pub fn measure_series(
 
 fn add_errors(found: Measurement, report: &mut VerifyReport) {
     for errors in found.variables {
-        let [min, max, avg] = errors.mse_range();
-        let entry = json!({
-            "mse": { "min": min, "max": max, "avg": avg },
-            "psnr_db": Some(errors.psnr_db()).filter(|psnr| psnr.is_finite()),
-            "max_abs_error": errors.max_abs_error,
-            "bits_per_sample": errors.bits_per_sample,
-        });
+        let entry = errors_json(&errors);
         report.variables.insert(errors.name, entry);
     }
     report.problems.extend(found.problems);
     report.ok = report.problems.is_empty();
+}
+
+fn errors_json(errors: &VariableErrors) -> Value {
+    let [min, max, avg] = errors.mse_range();
+    json!({
+        "mse": { "min": min, "max": max, "avg": avg },
+        "psnr_db": Some(errors.psnr_db()).filter(|psnr| psnr.is_finite()),
+        "max_abs_error": errors.max_abs_error,
+        "bits_per_sample": errors.bits_per_sample,
+    })
 }
 
 impl VerifyReport {
@@ -139,30 +207,57 @@ impl VerifyReport {
         self.variables.get(variable)?["psnr_db"].as_f64()
     }
 
-    fn text(&self, store: &Store) -> String {
+    fn text(&self, store: &Path) -> String {
         let mut lines = self.problems.clone();
         if self.ok {
-            lines.push(format!("{}: sound", store.path().display()));
+            lines.push(format!("{}: sound", store.display()));
         }
         if !self.variables.is_empty() {
-            let heading = ["variable", "mse min", "max", "avg", "PSNR dB", "largest error", "bits/sample"];
-            let mut rows = vec![heading.map(str::to_owned).to_vec()];
-            for (name, v) in &self.variables {
-                let small = |value: &Value| format!("{:.2e}", value.as_f64().unwrap_or(f64::NAN));
-                rows.push(vec![
-                    name.clone(),
-                    small(&v["mse"]["min"]),
-                    small(&v["mse"]["max"]),
-                    small(&v["mse"]["avg"]),
-                    v["psnr_db"].as_f64().map_or("lossless".to_owned(), |psnr| format!("{psnr:.2}")),
-                    small(&v["max_abs_error"]),
-                    format!("{:.3}", v["bits_per_sample"].as_f64().unwrap_or(f64::NAN)),
-                ]);
-            }
-            lines.push(output::table(&rows));
+            lines.push(errors_table(&self.variables));
             lines
                 .push("errors on values scaled to [0, 1] by the variable's range; mse over steps".to_owned());
         }
+        if !self.cells.is_empty() {
+            lines.push(errors_table(&self.cells));
+            for (name, v) in &self.cells {
+                lines.push(format!("{name}: SNR of blocks of 64 steps {}", snr_text(&v["snr_db"])));
+            }
+            let what = "errors of the cells at their points, on values scaled to [0, 1]; SNR against the variance of a block";
+            lines.push(what.to_owned());
+        }
         lines.join("\n")
     }
+}
+
+/// The smallest and the largest of the blocks that have errors.
+fn snr_text(snr_db: &Value) -> String {
+    let blocks: Vec<Option<f64>> = snr_db.as_array().into_iter().flatten().map(Value::as_f64).collect();
+    let finite = || blocks.iter().flatten().copied();
+    match finite().next() {
+        None => "without bound: no error".to_owned(),
+        Some(first) => {
+            let (low, high) = (finite().fold(first, f64::min), finite().fold(first, f64::max));
+            let exact = blocks.iter().filter(|snr| snr.is_none()).count();
+            let rest = if exact > 0 { format!(", {exact} without error") } else { String::new() };
+            format!("{low:.1} to {high:.1} dB{rest}")
+        }
+    }
+}
+
+fn errors_table(variables: &Map<String, Value>) -> String {
+    let heading = ["variable", "mse min", "max", "avg", "PSNR dB", "largest error", "bits/sample"];
+    let mut rows = vec![heading.map(str::to_owned).to_vec()];
+    for (name, v) in variables {
+        let small = |value: &Value| format!("{:.2e}", value.as_f64().unwrap_or(f64::NAN));
+        rows.push(vec![
+            name.clone(),
+            small(&v["mse"]["min"]),
+            small(&v["mse"]["max"]),
+            small(&v["mse"]["avg"]),
+            v["psnr_db"].as_f64().map_or("lossless".to_owned(), |psnr| format!("{psnr:.2}")),
+            small(&v["max_abs_error"]),
+            format!("{:.3}", v["bits_per_sample"].as_f64().unwrap_or(f64::NAN)),
+        ]);
+    }
+    output::table(&rows)
 }

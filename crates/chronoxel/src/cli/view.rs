@@ -4,17 +4,19 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use chronoxel_core::{
-    Camera, ColorMap, Image8, Lighting, TransferFunction, UniformGrid, metrics::ColorSpace,
+    Camera, ColorMap, Image, Image8, Lighting, ResolvedTransfer, TimeAxis, TransferFunction, UniformGrid,
+    metrics::ColorSpace,
 };
 use chronoxel_render::{GpuOptions, GpuRenderer, Interpolation};
 use chronoxel_stream::Tolerances;
 use clap::{Args, ValueEnum};
 
 use super::args::{parse_finite, parse_not_negative, parse_picture_size, parse_positive, parse_step};
+use super::cells::CellArgs;
 use crate::{
     annotate::{AxesBox, ColorBar, Style, TimeLabel},
     bytes::ByteSize,
-    session::{CoherenceView, LevelBorders, Metric, Moment, Picture, Session, View, orbit_camera},
+    session::{CoherenceView, LevelBorders, Metric, Moment, Picture, Session, View, orbit_camera_of},
 };
 
 /// Options of `render`, `movie` and `play`.
@@ -30,30 +32,32 @@ pub struct ViewArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub transfer: TransferArgs,
-    /// Distance between samples along a ray, in voxels
-    #[arg(long, value_name = "VOXELS", default_value_t = 0.5, allow_hyphen_values = true, value_parser = parse_step_length)]
-    pub step: f64,
+    /// Distance between samples along a ray, in voxels [default: 0.5]
+    #[arg(long, value_name = "VOXELS", allow_hyphen_values = true, value_parser = parse_step_length)]
+    pub step: Option<f64>,
     /// Ambient, diffuse and specular lighting
     #[arg(long, value_name = "SWITCH", default_value = "on")]
     pub lighting: Switch,
-    /// How the volume is drawn
-    #[arg(long, value_name = "METHOD", default_value = "raycast")]
-    pub method: Method,
+    /// How the volume is drawn [default: raycast; cells where the store has nothing else]
+    #[arg(long, value_name = "METHOD")]
+    pub method: Option<Method>,
+    #[command(flatten)]
+    pub cells: CellArgs,
     /// What draws it
     #[arg(long, value_name = "BACKEND", default_value = "auto")]
     pub backend: Backend,
     /// GPU memory that may be used, such as 512MiB or 4GiB
     #[arg(long, value_name = "SIZE", default_value = "1GiB")]
     pub gpu_memory: ByteSize,
-    /// What is interpolated between samples: values, or their colours (for comparison, on the GPU)
-    #[arg(long, value_name = "WHAT", default_value = "scalar")]
-    pub interpolation: InterpolationName,
-    /// Finest octree level to draw; 0 is full resolution
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub level: u8,
-    /// How bricks of different levels meet: each by its own samples, or filtered so that no seam shows (on the CPU)
-    #[arg(long, value_name = "HOW", default_value = "sharp")]
-    pub level_borders: LevelBordersName,
+    /// What is interpolated between samples: values, or their colours (for comparison, on the GPU) [default: scalar]
+    #[arg(long, value_name = "WHAT")]
+    pub interpolation: Option<InterpolationName>,
+    /// Finest octree level to draw; 0 is full resolution [default: 0]
+    #[arg(long, value_name = "N")]
+    pub level: Option<u8>,
+    /// How bricks of different levels meet: each by its own samples, or filtered so that no seam shows (on the CPU) [default: sharp]
+    #[arg(long, value_name = "HOW")]
+    pub level_borders: Option<LevelBordersName>,
     #[command(flatten)]
     pub coherence: CoherenceArgs,
     /// Background: a name, #RRGGBB, or transparent
@@ -102,7 +106,7 @@ pub struct TransferArgs {
     /// Colour map of the built-in functions: viridis, inferno, turbo, coolwarm, gray [default: viridis]
     #[arg(long, value_name = "NAME", value_parser = parse_color_map)]
     pub colormap: Option<ColorMap>,
-    /// Path length, in world units, that opacities refer to [default: the smallest spacing]
+    /// Path length, in world units, that opacities refer to [default: the smallest spacing; of a mesh, its longest side / 128]
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
     pub opacity_unit: Option<f64>,
 }
@@ -161,6 +165,8 @@ pub enum Method {
     Raycast,
     /// Planes across the view, cut into polygons and blended: on the GPU.
     Slices,
+    /// The tetrahedra of a store of cells as they are.
+    Cells,
 }
 
 /// What draws.
@@ -245,21 +251,21 @@ impl ViewArgs {
     /// If a GPU was asked for and none can be used.
     pub fn choose_backend(&self, session: &mut Session) -> anyhow::Result<ChosenBackend> {
         let interpolation = match self.interpolation {
-            InterpolationName::Scalar => Interpolation::Scalar,
-            InterpolationName::Color => Interpolation::Color,
+            None | Some(InterpolationName::Scalar) => Interpolation::Scalar,
+            Some(InterpolationName::Color) => Interpolation::Color,
         };
         let method = match self.method {
-            Method::Raycast => chronoxel_render::Method::Raycast,
-            Method::Slices => chronoxel_render::Method::Slices,
+            Some(Method::Slices) => chronoxel_render::Method::Slices,
+            _ => chronoxel_render::Method::Raycast,
         };
         let options =
             GpuOptions { memory_bytes: self.gpu_memory.0, method, interpolation, ..GpuOptions::default() };
-        let needs_gpu = self.method == Method::Slices || self.interpolation == InterpolationName::Color;
+        let needs_gpu = method == chronoxel_render::Method::Slices || interpolation == Interpolation::Color;
         anyhow::ensure!(
-            self.method == Method::Raycast || self.interpolation == InterpolationName::Scalar,
+            method == chronoxel_render::Method::Raycast || interpolation == Interpolation::Scalar,
             "--interpolation color is for rays: leave out --method slices"
         );
-        let filters = self.level_borders == LevelBordersName::Filtered;
+        let filters = self.level_borders == Some(LevelBordersName::Filtered);
         anyhow::ensure!(
             !filters || !(needs_gpu || self.backend == Backend::Gpu),
             "--level-borders filtered is for rays on the CPU: leave out --backend gpu, --method slices and --interpolation color"
@@ -301,25 +307,25 @@ impl ViewArgs {
     pub fn view(&self, session: &Session) -> anyhow::Result<View> {
         let grid = session.store().header().grid;
         let num_levels = session.store().tree().num_levels();
+        let level = self.level.unwrap_or(0);
         anyhow::ensure!(
-            usize::from(self.level) < num_levels,
-            "{}: --level is {}: the store has levels 0 to {}",
+            usize::from(level) < num_levels,
+            "{}: --level is {level}: the store has levels 0 to {}",
             session.store().path().display(),
-            self.level,
             num_levels - 1
         );
         Ok(View {
             camera: self.camera.camera(&grid, self.size)?,
             transfer: session.resolve(&self.transfer.function()?)?,
             size: self.size,
-            step_voxels: self.step,
+            step_voxels: self.step.unwrap_or(DEFAULT_STEP_VOXELS),
             lighting: (self.lighting == Switch::On).then(Lighting::default),
             opacity_unit: self.transfer.opacity_unit.unwrap_or(session.store().header().opacity_unit()),
-            level: self.level,
+            level,
             coherence: self.coherence.view(),
             level_borders: match self.level_borders {
-                LevelBordersName::Sharp => LevelBorders::Sharp,
-                LevelBordersName::Filtered => LevelBorders::Filtered,
+                None | Some(LevelBordersName::Sharp) => LevelBorders::Sharp,
+                Some(LevelBordersName::Filtered) => LevelBorders::Filtered,
             },
         })
     }
@@ -335,34 +341,51 @@ impl ViewArgs {
         picture: &Picture,
         moment: Moment,
     ) -> anyhow::Result<Image8> {
-        let [width, height] = view.size;
-        let background = self.background.into();
-        let style = Style::for_picture(view.size, background);
-        let mut shown = Image8::of_background(width, height, background);
         let header = session.store().header();
-        let axes =
-            AxesBox { camera: &view.camera, bounds: header.grid.bounds(), names: ["x", "y", "z"], units: "" };
+        let variable = &header.variables[session.variable()];
+        let legend = Legend {
+            camera: &view.camera,
+            transfer: &view.transfer,
+            bounds: header.grid.bounds(),
+            name: &variable.name,
+            units: &variable.units,
+            range: session.variable_range(),
+            times: &header.times,
+        };
+        self.show_with(&legend, &picture.image, moment)
+    }
+
+    /// As [`Self::show`], with what is written beside a picture of anything.
+    ///
+    /// # Errors
+    /// If the picture has another size than was asked for.
+    pub fn show_with(&self, legend: &Legend, image: &Image, moment: Moment) -> anyhow::Result<Image8> {
+        let [width, height] = self.size;
+        let background = self.background.into();
+        let style = Style::for_picture(self.size, background);
+        let mut shown = Image8::of_background(width, height, background);
+        let Legend { camera, bounds, times, .. } = *legend;
+        let axes = AxesBox { camera, bounds, names: ["x", "y", "z"], units: "" };
         if self.axes {
             axes.draw_behind(&mut shown, &style);
         }
-        shown.composite(&picture.image)?;
+        shown.composite(image)?;
         let mut occupied = Vec::new();
         let mut color_bar = None;
         if self.colorbar {
-            let variable = &header.variables[session.variable()];
             let bar = ColorBar {
-                transfer: &view.transfer,
-                range: session.variable_range(),
-                name: &variable.name,
+                transfer: legend.transfer,
+                range: legend.range,
+                name: legend.name,
                 // A pure number has the unit 1, which nobody writes.
-                units: if variable.units == "1" { "" } else { &variable.units },
+                units: if legend.units == "1" { "" } else { legend.units },
             };
             occupied.extend(bar.areas(&shown, &style));
             color_bar = Some(bar);
         }
         if self.time_label {
-            let label = TimeLabel::new(&header.times);
-            occupied.push(label.draw(&mut shown, &style, moment.time(&header.times.times), moment.step).rect);
+            let label = TimeLabel::new(times);
+            occupied.push(label.draw(&mut shown, &style, moment.time(&times.times), moment.step).rect);
         }
         if self.axes {
             axes.draw_outline(&mut shown, &style, &occupied);
@@ -388,13 +411,21 @@ impl CameraArgs {
     /// # Errors
     /// As [`Self::camera`].
     pub fn turned(&self, grid: &UniformGrid, size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
+        self.around(grid.bounds(), size, turn_deg)
+    }
+
+    /// The camera for a box, turned further about the vertical axis.
+    ///
+    /// # Errors
+    /// As [`Self::camera`].
+    pub fn around(&self, bounds: [[f64; 3]; 2], size: [usize; 2], turn_deg: f64) -> anyhow::Result<Camera> {
         if let Some(path) = &self.camera {
             let text = read_text(path, "camera file")?;
             let camera = Camera::from_json(&text).with_context(|| path.display().to_string())?;
             return Ok(camera.turned(turn_deg)?);
         }
         let fov = (!self.ortho).then_some(self.fov);
-        orbit_camera(grid, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
+        orbit_camera_of(bounds, [self.azimuth + turn_deg, self.elevation], self.zoom, fov, size)
     }
 }
 
@@ -446,18 +477,25 @@ impl StepArgs {
     /// If it is not in the store.
     pub fn resolve(&self, session: &Session) -> anyhow::Result<Moment> {
         let header = session.store().header();
-        let num_steps = header.num_steps_finished as usize;
+        self.among(session.store().path(), &header.times, header.num_steps_finished as usize)
+    }
+
+    /// The moment meant, among the finished steps of a store.
+    ///
+    /// # Errors
+    /// If it is not in the store.
+    pub fn among(&self, store: &Path, times: &TimeAxis, num_steps: usize) -> anyhow::Result<Moment> {
         if let Some(time) = self.time {
             return Ok(match self.blend_steps {
-                false => Moment::at(header.times.nearest_step(time).min(num_steps - 1)),
-                true => Moment::of_time(&header.times.times[..num_steps], time),
+                false => Moment::at(times.nearest_step(time).min(num_steps - 1)),
+                true => Moment::of_time(&times.times[..num_steps], time),
             });
         }
         let step = self.time_step.unwrap_or(0);
         anyhow::ensure!(
             step < num_steps,
             "{}: step {step} is not in the store: its steps are 0 to {}",
-            session.store().path().display(),
+            store.display(),
             num_steps - 1
         );
         Ok(Moment::at(step))
@@ -473,8 +511,29 @@ impl From<Background> for chronoxel_core::Background {
     }
 }
 
+/// What is written beside a picture, and where its box lies.
+pub struct Legend<'a> {
+    /// From where.
+    pub camera: &'a Camera,
+    /// Colours and opacities.
+    pub transfer: &'a ResolvedTransfer,
+    /// The box that axes are drawn around.
+    pub bounds: [[f64; 3]; 2],
+    /// Name of the variable.
+    pub name: &'a str,
+    /// Its units.
+    pub units: &'a str,
+    /// Its smallest and largest value.
+    pub range: [f64; 2],
+    /// Times of the steps.
+    pub times: &'a TimeAxis,
+}
+
+/// Distance between samples along a ray, in voxels, where none is asked for.
+const DEFAULT_STEP_VOXELS: f64 = 0.5;
+
 /// What draws on the CPU, in words.
-fn cpu_adapter() -> String {
+pub fn cpu_adapter() -> String {
     format!("{} threads, {}", rayon::current_num_threads(), chronoxel_render::kernel_name())
 }
 

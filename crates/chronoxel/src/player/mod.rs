@@ -4,6 +4,7 @@
 //! The thread that draws decides and draws; threads of their own read and decode entropy (`loader`). What is in memory of the store is what the
 //! state machine says, at every moment.
 
+mod cells;
 mod loader;
 mod nodes;
 mod path;
@@ -27,6 +28,7 @@ use chronoxel_stream::{
 };
 
 use crate::session::{Faults, HeldKey, Picture, Session, Spans, View};
+pub use cells::{CellPlayed, CellPlayer, CellPlayerOptions, DetailPace};
 pub use chronoxel_stream::Late;
 use loader::Loader;
 use nodes::{ColorErrors, FrameNodes, SomeRays, StepSpans, key_of};

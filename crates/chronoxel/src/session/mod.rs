@@ -6,6 +6,7 @@
 
 mod borders;
 mod bricks;
+mod cells;
 mod gpu;
 mod held;
 mod images;
@@ -26,6 +27,8 @@ use chronoxel_store::Store;
 use chronoxel_stream::{DrawItem, How, Shares, Tolerances};
 
 use bricks::BrickKey;
+pub use cells::{CellPicture, CellSession, CellShot, Importance};
+pub(crate) use cells::{StepValues, decode_into, warning_of};
 use gpu::{GpuShot, OnGpu};
 pub(crate) use held::{Held, HeldKey, read_held};
 use images::Images;
@@ -584,6 +587,20 @@ pub fn orbit_camera(
     fov_y_deg: Option<f64>,
     size: [usize; 2],
 ) -> anyhow::Result<Camera> {
+    orbit_camera_of(grid.bounds(), angles_deg, zoom, fov_y_deg, size)
+}
+
+/// As [`orbit_camera`], around a box.
+///
+/// # Errors
+/// As [`orbit_camera`].
+pub fn orbit_camera_of(
+    bounds: [[f64; 3]; 2],
+    angles_deg: [f64; 2],
+    zoom: f64,
+    fov_y_deg: Option<f64>,
+    size: [usize; 2],
+) -> anyhow::Result<Camera> {
     let aspect = size[0] as f64 / size[1] as f64;
-    Ok(Camera::orbit(grid.bounds(), angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
+    Ok(Camera::orbit(bounds, angles_deg[0], angles_deg[1], zoom, fov_y_deg, aspect)?)
 }

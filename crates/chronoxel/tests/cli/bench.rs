@@ -266,3 +266,33 @@ fn binotto2003_frame_rates_stand_beside_what_was_measured() {
         assert!(number(row, "here.fps_gpu") > 0.0, "{row}");
     }
 }
+
+#[test]
+fn bernardon2006_stands_beside_what_was_measured() {
+    let folder = tempdir().unwrap();
+    let line = "bench bernardon2006 --size tiny --source 'sim:twist?dims=7&steps=66' --out results";
+    let rows = rows(&json(folder.path(), line));
+    let twist = "sim:twist?dims=7&steps=66";
+    let table = &rows[&format!("Table 1, compression: {twist}")];
+    assert_eq!((number(table, "here.points"), number(table, "here.tetrahedra")), (343.0, 1080.0));
+    assert!(number(table, "here.stored_ratio") > 1.0 && number(table, "here.max_error") < 0.1, "{table}");
+    let jet = &rows["Table 1, compression: TJET stand-in, vortex of 8³"];
+    assert_eq!((number(jet, "paper.ratio"), number(jet, "paper.max_error")), (34.7, 0.2042));
+    assert!(number(jet, "here.snr_min_db") <= number(jet, "here.snr_max_db"), "{jet}");
+    let rates = &rows[&format!("Table 1, frames per second at 96 x 96, k = 6, on the CPU: {twist}")];
+    assert!(number(rates, "here.static_fps") > 0.0 && number(rates, "here.moving_fps") > 0.0, "{rates}");
+    for k in [2, 6, 16] {
+        let row = &rows[&format!("Fragments out of order: {twist}: k = {k}")];
+        assert!(number(row, "here.fragments") > 1000.0, "{row}");
+        assert!(k == 2 || number(row, "here.misordered") == 0.0, "{row}");
+    }
+    let parts = "Figures 4 and 5, pictures with a part of the faces, L*u*v* distance to all of them";
+    let [few, many] = [5, 25].map(|share| &rows[&format!("{parts}: {twist}: {share} %")]);
+    assert!(number(few, "here.luv_spread") >= number(many, "here.luv_spread"), "{few} {many}");
+    let bricks =
+        &rows[&format!("The same mesh as bricks and as cells: {twist}: bricks of level 0, all cells")];
+    assert!(number(bricks, "here.psnr_db") > 20.0, "{bricks}");
+    let svg = fs::read_to_string(folder.path().join("results/bricks-and-cells.svg")).unwrap();
+    assert!(svg.contains("twentieths"), "{svg}");
+    assert_eq!(names_in(&folder.path().join("results")).len(), 3);
+}

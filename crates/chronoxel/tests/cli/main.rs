@@ -3,6 +3,8 @@
 mod bad_input;
 mod bad_stores;
 mod bench;
+mod cell_pictures;
+mod cells;
 mod coherence;
 mod command;
 mod damage;
