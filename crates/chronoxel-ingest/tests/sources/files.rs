@@ -35,7 +35,7 @@ fn paths_that_lead_nowhere() {
 fn an_extension_that_lies_is_told_what_the_file_is() {
     let npy = std::fs::read(path("npy/f4.npy")).unwrap();
     let vti = std::fs::read(path("vti/ascii.vti")).unwrap();
-    let cases: [(&str, &[u8], &str); 11] = [
+    let cases: [(&str, &[u8], &str); 12] = [
         ("a.vti", &npy, "the content is NumPy .npy"),
         ("a.npy", &vti, "the content is VTK ImageData .vti"),
         ("a.raw", &npy, "the content is NumPy .npy"),
@@ -44,7 +44,8 @@ fn an_extension_that_lies_is_told_what_the_file_is() {
         ("a.vti", b"some text", "none of the known formats"),
         ("a.vti", b"<VTKFile type=\"UnstructuredGrid\">", "the content is VTK UnstructuredGrid .vtu"),
         ("a.vti", b"# vtk DataFile Version 3.0", "the content is legacy VTK .vtk"),
-        ("a.vts", b"<VTKFile type=\"PStructuredGrid\">", "a parallel VTK file"),
+        ("a.vts", b"<VTKFile type=\"PStructuredGrid\">", "the content is parallel VTK .pvtu, .pvts or .pvtr"),
+        ("a.vti", b"<VTKFile type=\"PImageData\">", "a parallel VTK .pvti file"),
         ("a.txt", b"some text", "which is not supported"),
         ("a", b"some text", "extension is missing"),
     ];

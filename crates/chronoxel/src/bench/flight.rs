@@ -146,6 +146,7 @@ impl Flight {
                 "Flight over {label}, {width} x {height} pixels, target {TARGET_FPS} frames per second"
             ),
             x_label: "frame of the flight".to_owned(),
+            x_step: 1.0,
             panels: vec![
                 panel("frame rate (1/s)", vec![line("", &self.fps)], Some((TARGET_FPS, "target")), true),
                 panel("nodes drawn (number)", vec![line("", &self.num_nodes)], None, false),

@@ -11,6 +11,8 @@ pub struct Plot {
     pub title: String,
     /// What the values are counted by.
     pub x_label: String,
+    /// From one value to the next, in what they are counted by.
+    pub x_step: f64,
     /// From top to bottom.
     pub panels: Vec<Panel>,
 }
@@ -40,7 +42,7 @@ pub struct Line {
 const WIDTH: f64 = 800.0;
 const LEFT: f64 = 70.0;
 const RIGHT: f64 = 20.0;
-const TOP: f64 = 40.0;
+const TOP: f64 = 52.0;
 const PANEL: f64 = 170.0;
 const GAP: f64 = 36.0;
 const BOTTOM: f64 = 44.0;
@@ -59,7 +61,7 @@ impl Plot {
         let lines = self.panels.iter().flat_map(|panel| &panel.lines);
         let last = lines.map(|line| line.values.len()).max().unwrap_or(0).saturating_sub(1).max(1) as f64;
         for (number, panel) in self.panels.iter().enumerate() {
-            panel.draw(&mut svg, TOP + number as f64 * (PANEL + GAP), last);
+            panel.draw(&mut svg, TOP + number as f64 * (PANEL + GAP), [last, self.x_step]);
         }
         let middle = (LEFT + WIDTH - RIGHT) / 2.0;
         text(&mut svg, [middle, height - 8.0], "middle", &self.x_label);
@@ -68,7 +70,10 @@ impl Plot {
 }
 
 impl Panel {
-    fn draw(&self, svg: &mut String, top: f64, last: f64) {
+    /// Draws it.
+    ///
+    /// * `last`: number of the last value, and how much of what is counted lies between two
+    fn draw(&self, svg: &mut String, top: f64, [last, x_step]: [f64; 2]) {
         let bottom = top + PANEL;
         let [low, high] = self.range();
         let scale = |v: f64| if self.is_log { v.log10() } else { v };
@@ -81,9 +86,10 @@ impl Panel {
             line(svg, [LEFT, y(tick)], [WIDTH - RIGHT, y(tick)], "stroke=\"#dddddd\"");
             text(svg, [LEFT - 6.0, y(tick) + 4.0], "end", &number(tick));
         }
-        for tick in linear_ticks([0.0, last], 8) {
-            line(svg, [x(tick), bottom], [x(tick), bottom + 4.0], "stroke=\"black\"");
-            text(svg, [x(tick), bottom + 17.0], "middle", &number(tick));
+        for tick in linear_ticks([0.0, last * x_step], 8) {
+            let at = x(tick / x_step);
+            line(svg, [at, bottom], [at, bottom + 4.0], "stroke=\"black\"");
+            text(svg, [at, bottom + 17.0], "middle", &number(tick));
         }
         let frame = [LEFT, top, WIDTH - LEFT - RIGHT, PANEL].map(|v| format!("{v:.1}"));
         let [left, above, wide, high] = frame;
@@ -202,9 +208,20 @@ mod tests {
     fn values_lie_between_the_axes() {
         let panels =
             vec![panel(&[0.0, 5.0, 10.0], false), panel(&[1.0, 0.0, f64::NAN], true), panel(&[], false)];
-        let plot =
-            Plot { file: "plot".to_owned(), title: "a & b".to_owned(), x_label: "frame".to_owned(), panels };
+        let plot = Plot {
+            file: "plot".to_owned(),
+            title: "a & b".to_owned(),
+            x_label: "frame".to_owned(),
+            x_step: 5.0,
+            panels,
+        };
         let svg = plot.to_svg();
+        // Three values, 5 apart.
+        assert!(svg.contains(&format!(
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">10<",
+            WIDTH - RIGHT,
+            TOP + PANEL + 17.0
+        )));
         assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n"));
         assert!(svg.contains("a &amp; b") && svg.contains("a &lt; b") && svg.contains("rate (1/s)"));
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");

@@ -156,6 +156,12 @@ fn cell_report(store: &CellStore) -> anyhow::Result<InfoReport> {
     fields.insert("format_version".to_owned(), header.version.into());
     fields.insert("encoder".to_owned(), header.encoder.clone());
     fields.insert("cells".to_owned(), cells);
+    let totals = &header.totals;
+    let payloads =
+        json!({ "empty": 0, "constant": 0, "coded": totals.spans, "shared": 0, "masked": totals.masked });
+    fields.insert("payloads".to_owned(), payloads);
+    // No bricks, and so no levels of them.
+    fields.insert("num_levels".to_owned(), 0.into());
     Ok(InfoReport {
         kind: "store",
         grid: json!({

@@ -70,9 +70,14 @@ pub fn run(common: &Common, args: &VerifyArgs) -> anyhow::Result<()> {
         }
     }
     report.ok = report.problems.is_empty();
-    match common.json {
-        true => output::json(&report)?,
-        false => output::line(&report.text(&args.store))?,
+    if common.json {
+        // Of a store of nothing but cells their errors are those of the variables.
+        if cells.as_ref().is_some_and(|cells| cells.path() == args.store) {
+            report.variables = report.cells.clone();
+        }
+        output::json(&report)?;
+    } else {
+        output::line(&report.text(&args.store))?;
     }
     anyhow::ensure!(report.ok, "{}: {} problems found", args.store.display(), report.problems.len());
     Ok(())

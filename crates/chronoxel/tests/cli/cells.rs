@@ -20,6 +20,8 @@ fn cells_are_encoded_described_and_verified() {
     let info = json(folder.path(), "info a.cxl");
     assert_eq!((at(&info, "kind"), at(&info, "grid.type")), (&json!("store"), &json!("curvilinear")));
     assert_eq!(number(&info, "cells.num_points"), 512.0);
+    assert_eq!((number(&info, "num_levels"), number(&info, "payloads.empty")), (0.0, 0.0));
+    assert!(number(&info, "payloads.coded") >= 2.0 * 2.0);
     assert_eq!(number(&info, "stored_bytes"), number(&report, "stored_bytes"));
     let text = done(folder.path(), "info a.cxl").stdout;
     for word in ["512 from (", "1715 tetrahedra", "bernardon2006", "pulse"] {
@@ -29,7 +31,8 @@ fn cells_are_encoded_described_and_verified() {
     let found = json(folder.path(), &format!("verify a.cxl --against {SOURCE}"));
     assert_eq!(at(&found, "ok"), &json!(true));
     for variable in ["pulse", "slope"] {
-        let errors = at(at(&found, "cells"), variable);
+        let errors = at(at(&found, "variables"), variable);
+        assert_eq!(errors, at(at(&found, "cells"), variable));
         assert!(number(errors, "max_abs_error") <= 0.01, "{errors}");
         assert_eq!(errors["snr_db"].as_array().unwrap().len(), 2, "{errors}");
     }

@@ -186,8 +186,8 @@ pub fn against_bricks(
         let (from_bricks, from_cells) = (compare(&bricks[0], &picture)?, compare(&all, &picture)?);
         luv_bricks.push(from_bricks.luv_mean);
         luv_cells.push(from_cells.luv_mean);
-        psnr_bricks.push(from_bricks.psnr_db.min(100.0));
-        psnr_cells.push(from_cells.psnr_db.min(100.0));
+        psnr_bricks.push(from_bricks.psnr_db);
+        psnr_cells.push(from_cells.psnr_db);
         if twentieth % 5 == 0 || twentieth <= 2 {
             let here = json!({
                 "luv": from_bricks.luv_mean,
@@ -200,14 +200,19 @@ pub fn against_bricks(
         }
     }
     let line = |name: &str, values: Vec<f64>| Line { name: name.to_owned(), values };
-    let panel = |label: &str, lines| Panel { label: label.to_owned(), lines, mark: None, is_log: false };
+    let panel = |label: &str, is_log, lines| Panel { label: label.to_owned(), lines, mark: None, is_log };
     let plot = Plot {
         file: "bricks-and-cells".to_owned(),
-        title: format!("{label}: cells by level of detail, against the finest bricks and against all cells"),
-        x_label: "faces drawn, twentieths of those within; the boundary is always kept".to_owned(),
+        title: format!("{label}: cells by level of detail, beside the finest bricks and beside all cells"),
+        x_label: "faces drawn, percent of those within; the boundary is always kept".to_owned(),
+        x_step: 100.0 / TWENTIETHS as f64,
         panels: vec![
-            panel("L*u*v* distance", vec![line("bricks", luv_bricks), line("all cells", luv_cells)]),
-            panel("PSNR (dB)", vec![line("bricks", psnr_bricks), line("all cells", psnr_cells)]),
+            panel(
+                "L*u*v* distance",
+                true,
+                vec![line("to bricks", luv_bricks), line("to all cells", luv_cells)],
+            ),
+            panel("PSNR (dB)", false, vec![line("to bricks", psnr_bricks), line("to all cells", psnr_cells)]),
         ],
     };
     Ok((rows, plot))
