@@ -296,6 +296,6 @@ fn bernardon2006_stands_beside_what_was_measured() {
         &rows[&format!("The same mesh as bricks and as cells: {twist}: bricks of level 0, all cells")];
     assert!(number(bricks, "here.psnr_db") > 20.0, "{bricks}");
     let svg = fs::read_to_string(folder.path().join("results/bricks-and-cells.svg")).unwrap();
-    assert!(svg.contains("twentieths"), "{svg}");
+    assert!(svg.contains("percent of those within"), "{svg}");
     assert_eq!(names_in(&folder.path().join("results")).len(), 3);
 }
