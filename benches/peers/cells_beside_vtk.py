@@ -45,7 +45,7 @@ def main():
         old.unlink()
     for step in range(steps):
         export = [args.chronoxel, "export", store, "--steps", f"{step}:{step + 1}", "-o", folder / f"step{step:03}.vtu"]
-        subprocess.run([str(word) for word in export + ["--overwrite", "-q"]], check=True)
+        subprocess.run([str(word) for word in export + ["-q"]], check=True)
     files = sorted(folder.glob("step*.vtu"))
 
     low, high = bounds(files[0])
