@@ -281,9 +281,11 @@ fn fewer_faces_come_close_and_keep_the_boundary() {
     let values = waves(num, 0.8);
     let mut renderer = CellRenderer::new(Arc::clone(&mesh), CellOptions::default()).unwrap();
     let all = renderer.render(&scene, &values).unwrap().0;
-    for (importance, fraction) in [(&importance, 0.5), (&static_importance(&mesh, &values, 1), 0.5)] {
-        let choice = FaceChoice::new(&mesh, importance, fraction);
-        assert_eq!(choice.num_faces(), (0.5 * mesh.num_faces() as f64).round() as usize);
+    for importance in [&importance, &static_importance(&mesh, &values, 1)] {
+        let order = FaceOrder::by_importance(&mesh, importance);
+        let choice = order.choose(0.5).unwrap();
+        let num_inner = (0.5 * order.num_inner() as f64).round() as usize;
+        assert_eq!(choice.num_faces(), mesh.num_boundary_faces() + num_inner);
         renderer.choose(Some(choice));
         let (some, _) = renderer.render(&scene, &values).unwrap();
         let found = psnr(&all, &some);

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use chronoxel_codec::{CellCodecOptions, OneWorker, Payload, decode_points, encode_cells};
 use chronoxel_core::{Background, BitMask, Camera, Image, Image8, Projection, compare};
 use chronoxel_render::{
-    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, CellWay, FaceChoice, GpuCellOptions,
-    GpuCellRenderer, GpuCellStats, GpuCellValues, GpuError, GpuOptions, GpuPicture, ReadBack, Variation,
+    CellMesh, CellOptions, CellRenderer, CellScene, CellStats, CellWay, GpuCellOptions, GpuCellRenderer,
+    GpuCellStats, GpuCellValues, GpuError, GpuOptions, GpuPicture, ReadBack, Variation,
     render_cells_reference,
 };
 
@@ -222,14 +222,14 @@ fn fewer_faces_are_those_of_the_cpu() {
     let mesh = Arc::new(twisted(num));
     let mut variation = Variation::new(mesh.num_points());
     (0..16).for_each(|t| variation.push(&waves(num, f64::from(t) * 0.1)));
-    let importance = variation.importance(&mesh, [0.0, 1.0]);
+    let order = variation.order(&mesh, [0.0, 1.0]);
     let values = waves(num, 0.8);
     let scene = scene(&mesh, "filled", [80, 80], Some(30.0), false);
     let Some(mut gpu) = with_k(&mesh, 6) else { return };
     let mut cpu = CellRenderer::new(Arc::clone(&mesh), CellOptions::default()).unwrap();
     let choices = [Some(0.5), Some(0.2), None];
     for fraction in choices {
-        let choice = fraction.map(|fraction| FaceChoice::new(&mesh, &importance, fraction));
+        let choice = fraction.and_then(|fraction| order.choose(fraction));
         gpu.choose(choice.clone());
         cpu.choose(choice);
         let (expected, on_cpu) = cpu.render(&scene, &values).unwrap();

@@ -12,9 +12,9 @@ use xxhash_rust::xxh3::Xxh3Builder;
 
 use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points};
 use super::volume_file::{FileHeader, FileTimes};
-use super::vtk_arrays::{dims_of, numbers};
+use super::vtk_arrays::{data_set, dims_of, encoding, numbers, pieces};
 use super::vts::lattice_shape;
-use super::xml::{Document, Element};
+use super::xml::Document;
 use super::{vtr, vts, vtu};
 use crate::SourceError;
 use crate::mesh::{Blanked, Block, Blocks, CellList, GridType};
@@ -146,19 +146,22 @@ pub(crate) fn open_parallel(path: &Path) -> Result<Box<dyn MeshFile>, SourceErro
     join(path, pieces, whole, None)
 }
 
-/// The extent of a lattice; pieces of it, by the number of their element, with their own extents.
-pub(crate) type LatticePieces = ([i64; 6], Vec<(usize, [i64; 6])>);
-
-/// The pieces of a data set in one file that have points, with the extent of each in a lattice.
-pub(crate) fn lattice_pieces(
-    document: &Document,
-    (index, data_set): (usize, &Element),
-) -> Result<LatticePieces, SourceError> {
-    let path = &document.path;
-    let whole = numbers::<i64, 6>(path, data_set, "WholeExtent", None)?;
-    let mut pieces = Vec::new();
-    for (piece, element) in super::vtk_arrays::pieces(document, (index, data_set))? {
-        let extent = numbers::<i64, 6>(path, element, "Extent", Some(whole))?;
+/// Opens the pieces of a lattice in one file that have points; also gives the extent that they are of.
+///
+/// * `grid_type`: what the root and its child are called
+/// * `open`: opens a piece, from the numbers of the elements of the data set and of the piece, and its extent
+pub(crate) fn lattice_pieces<F: MeshFile + 'static>(
+    path: &Path,
+    grid_type: &str,
+    open: impl Fn(&Document, usize, usize, [i64; 6]) -> Result<F, SourceError>,
+) -> Result<(Vec<Piece>, [i64; 6]), SourceError> {
+    let document = Document::read(path)?;
+    encoding(&document, grid_type)?;
+    let (index, element) = data_set(&document, grid_type)?;
+    let whole = numbers::<i64, 6>(path, element, "WholeExtent", None)?;
+    let mut opened = Vec::new();
+    for (piece, of_piece) in pieces(&document, (index, element))? {
+        let extent = numbers::<i64, 6>(path, of_piece, "Extent", Some(whole))?;
         if dims_of(extent).contains(&0) {
             continue;
         }
@@ -166,9 +169,10 @@ pub(crate) fn lattice_pieces(
             let problem = format!("it reaches beyond the WholeExtent, {whole:?}");
             return Err(SourceError::corrupt(path, "Extent of a piece", format!("{extent:?}"), problem));
         }
-        pieces.push((piece, extent));
+        let file = open(&document, index, piece, extent)?;
+        opened.push(Piece { file: Box::new(file), extent: Some(extent) });
     }
-    Ok((whole, pieces))
+    Ok((opened, whole))
 }
 
 /// Runs of a part of a lattice: the first element in it, the first in the whole, and how many there are along x.

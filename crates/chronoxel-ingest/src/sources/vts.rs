@@ -9,7 +9,7 @@ use chronoxel_core::Samples;
 
 use super::mesh_files::{MeshFile, MeshShape, Topology, checked_points, lattice, points_of};
 use super::volume_file::{FileHeader, checked_product};
-use super::vtk_arrays::{Array, ArrayReader, data_set, dims_of, encoding};
+use super::vtk_arrays::{Array, ArrayReader, dims_of, encoding};
 use super::vtk_pieces::{Piece, join, lattice_pieces};
 use super::xml::Document;
 use crate::SourceError;
@@ -34,16 +34,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn MeshFile>, SourceError> {
 
 /// Opens the pieces of a `.vts` file that have points; also gives the extent that they are of.
 pub(crate) fn open_pieces(path: &Path) -> Result<(Vec<Piece>, [i64; 6]), SourceError> {
-    let document = Document::read(path)?;
-    encoding(&document, TYPE)?;
-    let data_set = data_set(&document, TYPE)?;
-    let (whole, pieces) = lattice_pieces(&document, data_set)?;
-    let mut opened = Vec::new();
-    for (index, extent) in pieces {
-        let file = open_piece(&document, data_set.0, index, extent)?;
-        opened.push(Piece { file: Box::new(file), extent: Some(extent) });
-    }
-    Ok((opened, whole))
+    lattice_pieces(path, TYPE, open_piece)
 }
 
 /// What the root and its child are called.

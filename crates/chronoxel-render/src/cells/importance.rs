@@ -13,31 +13,6 @@ pub struct FaceChoice {
 }
 
 impl FaceChoice {
-    /// The faces of largest importance, the first of equal ones, and the boundary: `fraction` of all in all, but never fewer than
-    /// the boundary.
-    ///
-    /// * `importance`: one per face of the mesh
-    /// * `fraction`: of the faces, in [0, 1]
-    ///
-    /// # Panics
-    /// If there is another number of importances than faces.
-    pub fn new(mesh: &CellMesh, importance: &[f32], fraction: f64) -> Self {
-        assert_eq!(importance.len(), mesh.num_faces(), "one importance per face");
-        let (mut faces, mut inner): (Vec<u32>, Vec<u32>) =
-            (0..mesh.faces.len() as u32).partition(|&f| mesh.faces[f as usize].is_boundary);
-        let wanted = (fraction.clamp(0.0, 1.0) * mesh.faces.len() as f64).round() as usize;
-        let num = wanted.saturating_sub(faces.len()).min(inner.len());
-        let order =
-            |a: &u32, b: &u32| importance[*b as usize].total_cmp(&importance[*a as usize]).then(a.cmp(b));
-        if num < inner.len() {
-            inner.select_nth_unstable_by(num, order);
-            inner.truncate(num);
-        }
-        faces.extend(inner);
-        faces.sort_unstable();
-        Self { faces }
-    }
-
     /// Faces that are drawn.
     pub fn num_faces(&self) -> usize {
         self.faces.len()
@@ -342,14 +317,6 @@ mod tests {
         let importance = variation.importance(&mesh(), [-4.0, 4.0]);
         let at = mesh().faces.iter().position(|f| f.points == [0, 1, 2]).unwrap();
         assert!((importance[at] - (0.5 + 1.0 / 3.0)).abs() < 1e-6);
-    }
-
-    #[test]
-    fn the_boundary_is_kept_and_the_rest_comes_by_importance() {
-        let mesh = mesh();
-        let importance = vec![1.0; mesh.num_faces()];
-        assert_eq!(FaceChoice::new(&mesh, &importance, 0.0).num_faces(), 6);
-        assert_eq!(FaceChoice::new(&mesh, &importance, 1.0).num_faces(), 7);
     }
 
     #[test]
