@@ -88,8 +88,8 @@ pub struct CellStats {
 
 /// Draws pictures of one mesh, and keeps what the next one can use.
 ///
-/// A new step costs its values and its pixels; a new camera also a sort, if it turned, and the lists of the tiles; a new
-/// transfer function also a table.
+/// A new step costs its values and its pixels; a new camera also the lists of the tiles, and a sort if it turned or, in a
+/// perspective, moved; a new transfer function also a table.
 pub struct CellRenderer {
     mesh: Arc<CellMesh>,
     options: CellOptions,
